@@ -26,9 +26,8 @@ def main(command: list[str]) -> int:
     )
     for number in PASSED_ON:
         signal.signal(number, lambda received, _: child.send_signal(received))
-    signal.signal(
-        signal.SIGTTOU, signal.SIG_IGN
-    )  # or handing over the terminal would stop us
+    # or handing over the terminal would stop us
+    signal.signal(signal.SIGTTOU, signal.SIG_IGN)
     if is_foreground:
         os.tcsetpgrp(0, child.pid)
     try:
@@ -44,9 +43,8 @@ def _wait(pid: int) -> int:
         if not os.WIFSTOPPED(status):
             code = os.waitstatus_to_exitcode(status)
             return code if code >= 0 else 128 - code
-        os.killpg(
-            pid, signal.SIGCONT
-        )  # Ctrl-Z: nobody could bring a stopped plant back
+        # Ctrl-Z: nobody could bring a stopped plant back
+        os.killpg(pid, signal.SIGCONT)
 
 
 if __name__ == "__main__":

@@ -89,9 +89,8 @@ async def send_packets(url: str, some: Iterator[Packet], campaign: Campaign) -> 
                     await _send(url, packet, campaign)
                     break
                 except (OSError, TimeoutError, ua.UaError):
-                    await asyncio.sleep(
-                        0.1
-                    )  # no connection free for the valid part before it
+                    # no connection free for the valid part before it
+                    await asyncio.sleep(0.1)
             else:
                 campaign.not_sent += 1
 

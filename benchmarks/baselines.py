@@ -54,9 +54,8 @@ class NineTerms:
     def __init__(self, problem: Problem) -> None:
         assert isinstance(problem.stage, PoseStage)
         self.stage, self.stack, stage = problem.stage, problem.stack, problem.stage
-        per_rpm = (
-            stage.robot.wheel_radius_m * np.pi / 60.0
-        )  # the sides are sums of two wheels
+        # the sides are sums of two wheels
+        per_rpm = stage.robot.wheel_radius_m * np.pi / 60.0
         left, right = stage.left * per_rpm, -stage.right * per_rpm
         self.v, self.om = 0.5 * (left + right), stage.robot.k_om * (right - left)
         self.fold = self.stack.fold[self.stack.block]

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from hilserver.arrays import Array
-from hilserver.observer.offline import HEADING, POSITION, Series
+from hilserver.observer.offline import HEADING, POSITION, MeasuredSeries
 from hilserver.plant.layout import Parameters
 
 PROCESS: Final = np.array([0.02, 0.02, 0.02]) ** 2
@@ -18,7 +18,7 @@ POSE: Final = np.array([0.005, 0.005, 0.005]) ** 2
 """Of x, y [m2] and yaw [rad2] as the navigation shows them: motion capture."""
 
 
-def constant_filter(p: Parameters, series: Series) -> Array:
+def constant_filter(p: Parameters, series: MeasuredSeries) -> Array:
     """Return x, y [m] and yaw [rad] at each moment, shape (n, 3)."""
     x, m = np.zeros(3), np.eye(3) * 1e3
     wheels, samples = series.wheels, series.samples

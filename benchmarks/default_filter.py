@@ -11,7 +11,7 @@ import numpy as np
 
 from hilserver.arrays import Array
 from hilserver.compiled import kernel
-from hilserver.observer.offline import GYRO, POSITION, Series
+from hilserver.observer.offline import GYRO, POSITION, MeasuredSeries
 from hilserver.plant.layout import Parameters
 
 PROCESS: Final = np.array([0.05, 0.05, 0.06, 0.025, 0.02])
@@ -72,7 +72,7 @@ def _run(
     return out
 
 
-def default_filter(p: Parameters, series: Series, pose: Array = POSE) -> Array:
+def default_filter(p: Parameters, series: MeasuredSeries, pose: Array = POSE) -> Array:
     """Return x, y [m] and yaw [rad] at each moment, shape (n, 3).
 
     Parameters

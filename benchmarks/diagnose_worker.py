@@ -17,7 +17,7 @@ from benchmarks.diagnose_scoring import Score, score
 from hilserver.daemon.assembly import Assembly, assemble
 from hilserver.diagnosis.schema.evidence import Diagnosis
 from hilserver.diagnosis.schema.findings import Findings
-from hilserver.measured.data import Channel, MeasuredLog, Source, Span
+from hilserver.measured.data import Channel, LogSource, MeasuredLog, Span
 from hilserver.measured.reading import read_measured
 from hilserver.scenarios import scenario
 from reference.scenarios.judging import causes_of, judge
@@ -58,7 +58,7 @@ def measured(table: Table) -> MeasuredLog:
         span = np.zeros(int(there.sum()), dtype=np.int64)
         channels[name] = Channel(table.t_s[there], values[there], span)
     span_of_log = Span(0, None, float(table.t_s[0]), float(table.t_s[-1]))
-    source = Source("log.csv", "0" * 64)
+    source = LogSource("log.csv", "0" * 64)
     return MeasuredLog((source,), channels, (span_of_log,))
 
 

@@ -113,9 +113,8 @@ def _cost(folder: Path) -> Result:
             samples[name].append((time.perf_counter_ns() - start_ns) / STEPS)
     pairs = np.array([samples["fmu"][1:], samples["daemon"][1:]])
     fmu, daemon = np.median(pairs, axis=1)
-    ratio = float(
-        np.median(pairs[0] / pairs[1])
-    )  # of neighbours: other load affects both
+    # of neighbours: other load affects both
+    ratio = float(np.median(pairs[0] / pairs[1]))
     text = f"the daemon's kernels; at most {MOST}"
     return Result("fmu_step_ns", float(fmu), "ns", float(daemon), text, ratio, samples)
 

@@ -49,9 +49,8 @@ def _mean(inputs: Array, left: Array, rows: NDArray[np.int64]) -> Array:
     smooth = ConstantKernel(1.0, (1e-4, 1e4)) * RBF(2.0, LENGTHS)
     learning = GaussianProcessRegressor(smooth + WhiteKernel(0.5, (1e-4, 10.0)))
     with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore", ConvergenceWarning
-        )  # at a bound: nothing more to learn
+        # at a bound: nothing more to learn
+        warnings.simplefilter("ignore", ConvergenceWarning)
         learning.fit(inputs[apart], left[apart] / scale)
     process = GaussianProcessRegressor(learning.kernel_, optimizer=None)
     rows = rows[:: max(1, -(-len(rows) // MOST))]

@@ -22,7 +22,7 @@ from hilserver.diagnosis.output import documents
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.observed import series_of
 from hilserver.observer.layout import YAW
-from hilserver.observer.offline import GYRO, Series, run
+from hilserver.observer.offline import GYRO, MeasuredSeries, run
 from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters
 from hilserver.program.progress import Progress
@@ -107,11 +107,13 @@ def diagnosed(
     return Known(robot, constants_of(robot, found), found.nav_late_s)
 
 
-def without_navigation(series: Series, cut_s: tuple[float, float]) -> Series:
+def without_navigation(
+    series: MeasuredSeries, cut_s: tuple[float, float]
+) -> MeasuredSeries:
     """Return a series without navigation in an interval."""
     s = series.samples
     silent = (s[:, 0] != GYRO) & (s[:, 1] >= cut_s[0]) & (s[:, 1] < cut_s[1])
-    return Series(series.wheels, s[~silent])
+    return MeasuredSeries(series.wheels, s[~silent])
 
 
 def angle(values: Array) -> Array:
@@ -153,7 +155,7 @@ def score(key: str, recipe: Recipe, known: Known, number: int) -> Score:
     base = pack(plain)
     raw = without_navigation(series_of(log, 0, plain), CUT_S)
     wheels = run(
-        base, constants_of(plain, None), Series(raw.wheels, np.zeros((0, 4)))
+        base, constants_of(plain, None), MeasuredSeries(raw.wheels, np.zeros((0, 4)))
     ).estimate
     begin = int(np.searchsorted(t, CUT_S[0]))
     turn = true[begin, 2] - wheels[begin, 2]

@@ -29,7 +29,7 @@ from hilserver.measured.observed import series_of
 from hilserver.measured.reading import read_measured
 from hilserver.observer.layout import PLACE, Shown
 from hilserver.observer.log_noise import fitted
-from hilserver.observer.offline import POSITION, Series, run
+from hilserver.observer.offline import POSITION, MeasuredSeries, run
 from hilserver.observer.smoother import smooth
 from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters
@@ -148,24 +148,26 @@ def _silent(t: Array, start: float) -> NDArray[np.bool_]:
     return np.asarray((t - start) % (2.0 * CUT_S) >= CUT_S)
 
 
-def _drive(known: Known, plain: RobotParameters, own: Series, raw: Series) -> Drive:
+def _drive(
+    known: Known, plain: RobotParameters, own: MeasuredSeries, raw: MeasuredSeries
+) -> Drive:
     t = own.wheels[:, 0]
     cut = _silent(t, t[0])
     begins = np.flatnonzero(~cut[:-1] & cut[1:])
-    begins = begins[
-        t[begins] + CUT_S < t[-1]
-    ]  # a silence that lasts past the end is not counted
+    # a silence that lasts past the end is not counted
+    begins = begins[t[begins] + CUT_S < t[-1]]
     ends = np.array([k + int(np.argmin(cut[k + 1 :])) for k in begins])
     true = _truth(raw, t)
     rest = [
-        Series(s.wheels, s.samples[~_silent(s.samples[:, 1], t[0])]) for s in (own, raw)
+        MeasuredSeries(s.wheels, s.samples[~_silent(s.samples[:, 1], t[0])])
+        for s in (own, raw)
     ]
     own_p = pack(known.robot)
     c = fitted(own_p, known.constants, [rest[0]])
     course = run(own_p, c, rest[0])
     base = pack(plain)
     wheels = run(
-        base, constants_of(plain, None), Series(raw.wheels, np.zeros((0, 4)))
+        base, constants_of(plain, None), MeasuredSeries(raw.wheels, np.zeros((0, 4)))
     ).estimate
     rival = default_filter(base, rest[1])
     paths = (
@@ -200,7 +202,7 @@ def _off(path: Array, true: Array) -> Array:
     return np.asarray(np.hypot(*(path[:, :2] - true[:, :2]).T))
 
 
-def _truth(series: Series, t: Array) -> Array:
+def _truth(series: MeasuredSeries, t: Array) -> Array:
     """Return x, y [m] and yaw [rad] from the capture, shape (n, 3)."""
     s = series.samples
     place, heading = s[s[:, 0] == POSITION], s[s[:, 0] > POSITION]

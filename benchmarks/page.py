@@ -133,10 +133,8 @@ async def _measure(args: argparse.Namespace) -> list[Result]:
     )
     load = os.getloadavg()[0]
     image, port = f"bench-page-{os.getpid()}", free_port()
-    limits = {
-        "single_overrun_ms": None,
-        "consecutive_overruns": None,
-    }  # it has to keep driving
+    # it has to keep driving
+    limits = {"single_overrun_ms": None, "consecutive_overruns": None}
     settings = {
         "page": {"port": port, "rate_hz": RATE_HZ},
         "scheduler": {"policy": "skip", "limits": limits},

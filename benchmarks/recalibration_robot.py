@@ -18,7 +18,7 @@ from hilserver.config.root import Config, without_passwords
 from hilserver.recalibration.judging import OrderJudge
 from hilserver.recalibration.loop import Note, RecalibrationLoop
 from hilserver.recalibration.orders import JudgeOrder, Todo
-from hilserver.recalibration.proposals import Proposal, ProposalStage, Step
+from hilserver.recalibration.proposals import Proposal, ProposalStage, ProposalStep
 from hilserver.recalibration.spending import Spending
 
 Values = Mapping[str, float]
@@ -128,7 +128,7 @@ class Robot:
         proposal = loop.proposal
         if proposal is not None and proposal.stage is ProposalStage.OPEN:
             outcome.proposed.append(summary(self._number, proposal))
-            decided = loop.decided(Step.ACCEPT, proposal.number)
+            decided = loop.decided(ProposalStep.ACCEPT, proposal.number)
             loop.adopt(decided, self._number)  # the next window begins after it
             outcome.loaded = {n: t.value for n, t in decided.terms.items()}
 

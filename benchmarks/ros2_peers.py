@@ -84,9 +84,8 @@ def build_cyclone(folder: Path, type_names: Iterable[str]) -> Path:
         f'{{"{dds_name(n)}", &{dds_name(n).replace("::", "_")}_desc}},\n' for n in names
     )
     (folder / "table.h").write_text("".join(rows), encoding="ascii")
-    _run(
-        "idlc", "-t", "types.idl", folder=folder
-    )  # like rmw_cyclonedds, it announces no type
+    # like rmw_cyclonedds, it announces no type
+    _run("idlc", "-t", "types.idl", folder=folder)
     program = folder / "ros2_cyclone"
     with as_file(files("benchmarks") / "ros2_cyclone.c") as source:
         made = (

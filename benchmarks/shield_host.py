@@ -10,7 +10,7 @@ import struct
 import sys
 import time
 
-from hilserver.io.shield.protocol import RESPONSE_BYTES, Command, request
+from hilserver.io.shield.protocol import RESPONSE_BYTES, ShieldCommand, request
 
 LONGEST_S = 1.0
 
@@ -18,8 +18,10 @@ LONGEST_S = 1.0
 def main(line: str, rate_hz: float, seconds: float) -> None:
     """Enable the motors, then poll; missing responses are left out."""
     host = os.open(line, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-    round_trips_ms = [_ask(host, request(Command.ENABLE))]
-    speeds = request(Command.SET_RPM, struct.pack("<4h", -2000, -2000, 2000, 2000))
+    round_trips_ms = [_ask(host, request(ShieldCommand.ENABLE))]
+    speeds = request(
+        ShieldCommand.SET_RPM, struct.pack("<4h", -2000, -2000, 2000, 2000)
+    )
     begin_s = time.monotonic()
     for number in range(1, round(rate_hz * seconds) + 1):
         round_trips_ms.append(_ask(host, speeds))

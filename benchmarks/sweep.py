@@ -32,7 +32,7 @@ from hilserver.sweep.campaign import (
     outcomes,
 )
 from hilserver.sweep.estimates import LEAST_MACHINES, median_interval
-from hilserver.sweep.prepare import Prepared, prepare
+from hilserver.sweep.prepare import PreparedSweep, prepare
 
 COMPILED_A_MINUTE, PYTHON_A_MINUTE, MOST_MB, DASK = 3000.0, 600.0, 1000.0, 1.10
 """Required figures."""
@@ -166,7 +166,7 @@ def _rates(folder: Path, args: argparse.Namespace) -> Iterator[Result]:
     yield Result("sweep_dask_overhead", median, "1", DASK, text, median / DASK, pairs)
 
 
-def _a_minute(prepared: Prepared, workers: Workers, count: int) -> float:
+def _a_minute(prepared: PreparedSweep, workers: Workers, count: int) -> float:
     """Return machines per minute, once each worker has driven a batch."""
     first, n, done, began_s = 2 * count * IN_A_BATCH, prepared.sweep.machines, 0, 0.0
     counted = 0

@@ -21,10 +21,10 @@ from hilserver.plant.packing import pack
 from hilserver.sweep.batch import fingerprint
 from hilserver.sweep.campaign import LocalWorkers, outcomes
 from hilserver.sweep.estimates import exact_interval, influences
-from hilserver.sweep.journal import Journal
-from hilserver.sweep.prepare import Prepared, prepare
+from hilserver.sweep.journal import SweepJournal
+from hilserver.sweep.prepare import PreparedSweep, prepare
 from hilserver.sweep.rig import Rig
-from hilserver.sweep.table import PASSED, Table, table_of
+from hilserver.sweep.table import PASSED, MachineTable, table_of
 
 MACHINES: Final = 10_000
 SWEEPS, MACHINES_OF_EACH = 200, 200
@@ -41,7 +41,7 @@ def limit(dt_s, u, y, x, p):
 CORRELATION, SD = 0.95, 0.02
 
 
-def _sweep(folder: Path, function: str, machines: int) -> Prepared:
+def _sweep(folder: Path, function: str, machines: int) -> PreparedSweep:
     """Prepare a sweep of a block that passes where a function of p[0], p[1], p[2] is positive."""
     (folder / "limit.py").write_text(
         BLOCK.replace("FUNCTION", function), encoding="utf-8"
@@ -72,15 +72,15 @@ def _sweep(folder: Path, function: str, machines: int) -> Prepared:
     )
 
 
-def _written(folder: Path, sweep: dict[str, Any]) -> Prepared:
+def _written(folder: Path, sweep: dict[str, Any]) -> PreparedSweep:
     path = folder / "sweep.yaml"
     path.write_text(json.dumps(sweep), encoding="utf-8")
     return prepare(path)
 
 
-def _swept(prepared: Prepared, folder: Path, workers: int = 2) -> Table:
+def _swept(prepared: PreparedSweep, folder: Path, workers: int = 2) -> MachineTable:
     journal, n = (
-        Journal(folder / "out", prepared.job.key, resume=False),
+        SweepJournal(folder / "out", prepared.job.key, resume=False),
         prepared.sweep.machines,
     )
     machines = map(prepared.machine, range(n))
@@ -91,7 +91,7 @@ def _swept(prepared: Prepared, folder: Path, workers: int = 2) -> Table:
     return table_of(prepared, journal, range(n))
 
 
-def _line(name: str, truth: float, table: Table, margin: str) -> dict[str, Any]:
+def _line(name: str, truth: float, table: MachineTable, margin: str) -> dict[str, Any]:
     """Return the truth and the sweep's result."""
     passed = table.count(PASSED)
     low, high = exact_interval(passed, len(table))
@@ -197,7 +197,7 @@ def correlated(machines: int = MACHINES) -> dict[str, Any]:
         return _line("correlated", truth, _swept(prepared, folder), "turns")
 
 
-def _probability(prepared: Prepared) -> float:
+def _probability(prepared: PreparedSweep) -> float:
     """Return the probability that a drawn gain passes."""
     rig, machine = Rig(prepared.job), prepared.machine(0)
 

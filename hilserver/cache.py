@@ -159,9 +159,8 @@ class Shelf:
         """Keep `data`, whole or not at all, where there is room for it."""
         if not self._is_full:
             try:
-                _write(
-                    _own(self.folder) / name, data
-                )  # somebody may have cleared the cache
+                # somebody may have cleared the cache
+                _write(_own(self.folder) / name, data)
             except OSError as error:
                 self._is_full = True
                 _report(self.folder.parent, error, self._in_spare(name, data))

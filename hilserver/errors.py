@@ -57,9 +57,8 @@ ADDRESSES = {
 def address_refused(what: str, error: OSError) -> FailedError:
     """Return why an address cannot be used, with the remedy; `what` names section and address."""
     number = error.errno or getattr(error.__context__, "errno", None) or 0
-    why = (
-        os.strerror(number) if number > 0 else error.strerror or str(error)
-    )  # names: below 0
+    # names: below 0
+    why = os.strerror(number) if number > 0 else error.strerror or str(error)
     return FailedError(
         f"{what} ({why.lower()}); {ADDRESSES.get(number, 'check the address')}"
     )

@@ -25,9 +25,8 @@ from hilserver.time_limit import AbandonedError
 
 FIRST_PAUSE_S: Final = 0.1
 LONGEST_PAUSE_S: Final = 5.0
-LASTED_S: Final = (
-    10.0  # a task that has run for so long begins again after the first pause
-)
+# a task that has run for so long begins again after the first pause
+LASTED_S: Final = 10.0
 BEATS_MISSED: Final = 10
 SILENT_AT_LEAST_S: Final = 10.0
 

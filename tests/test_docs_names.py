@@ -141,9 +141,8 @@ def test_every_signal_that_is_named_exists() -> None:
     def missing(page: Path) -> Iterator[str]:
         for span in spans(page):
             is_name = SIGNAL.fullmatch(span) and not span.endswith(NOT_SIGNALS)
-            exists = any(
-                f"{name}_".startswith(f"{span}_") for name in names
-            )  # or is a group
+            # or is a group
+            exists = any(f"{name}_".startswith(f"{span}_") for name in names)
             if is_name and span.partition(".")[0] in kinds and not exists:
                 yield span
 

@@ -143,9 +143,8 @@ def settle(root: Path) -> None:
     )
     shutil.copy(Path(__file__).parents[1] / "objects.py", root / "run")
     within(root, f"/{HOME}/bin/python", "/run/objects.py", f"/{OBJECTS}")
-    (root / "run/any_port.yaml").write_text(
-        ANY_PORT
-    )  # a daemon may run beside the build
+    # a daemon may run beside the build
+    (root / "run/any_port.yaml").write_text(ANY_PORT)
     within(
         root,
         f"/{HOME}/bin/hilserver",

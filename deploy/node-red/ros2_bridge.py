@@ -31,9 +31,8 @@ WHEELS = {
 }
 FINDERS = ("tof_FL", "tof_FR", "tof_RL", "tof_RR")
 LONGEST_LINE = 4096
-PATIENCE = struct.pack(
-    "ll", 0, 500_000
-)  # who does not read for 0.5 s gets nothing more
+# who does not read for 0.5 s gets nothing more
+PATIENCE = struct.pack("ll", 0, 500_000)
 
 
 class Bridge(Node):

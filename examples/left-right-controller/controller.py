@@ -29,13 +29,11 @@ async def main(endpoint: str) -> None:
         while True:
             weave = 10.0 * math.sin(number * CYCLE_S)
             await left.write_value(30.0 + weave)
-            await right.write_value(
-                -30.0 + weave
-            )  # right wheels are mirrored: forward is negative
+            # right wheels are mirrored: forward is negative
+            await right.write_value(-30.0 + weave)
             number += 1
-            await cycle.write_value(
-                ua.Variant(number, ua.VariantType.UInt32)
-            )  # last: all is new
+            # last: all is new
+            await cycle.write_value(ua.Variant(number, ua.VariantType.UInt32))
             await asyncio.sleep(CYCLE_S)
 
 

@@ -8,12 +8,8 @@ correction only works while something is missing, so the robot stays too slow.
 SPEED_RPM = 30.0
 NEEDED_PCT_PER_RPM = 1.0 / 1.11  # of the nominal robot
 GAIN_PCT_PER_RPM = 0.5
-SIDES = {
-    "fl": 1.0,
-    "rl": 1.0,
-    "fr": -1.0,
-    "rr": -1.0,
-}  # the right wheels are mounted mirrored
+# the right wheels are mounted mirrored
+SIDES = {"fl": 1.0, "rl": 1.0, "fr": -1.0, "rr": -1.0}
 
 
 class Controller:

@@ -27,9 +27,8 @@ class Result:
     name: str
     value: float
     unit: str
-    reference: float | None = (
-        None  # the same figure of the reference program, in the same unit
-    )
+    # the same figure of the reference program, in the same unit
+    reference: float | None = None
     reference_name: str | None = None
     ratio: float | None = None
     raw: Any = None  # histograms, blocks, command lines: the data behind the figure

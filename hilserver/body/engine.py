@@ -36,9 +36,8 @@ class BodyEngine:
         self.parameters = body.pack()  # `p` of the kernel
         signature = int(library.mjtState.mjSTATE_INTEGRATION)
         length = library.mj_stateSize(self.model, signature)
-        self.addresses = self._addresses(
-            library, signature
-        )  # `a` of the kernel, of this process
+        # `a` of the kernel, of this process
+        self.addresses = self._addresses(library, signature)
         # `b` of the kernel: at rest in the origin
         self.initial = self._initial(library, length, signature)
 
@@ -62,9 +61,8 @@ class BodyEngine:
                 f"mechatronic: MuJoCo {library.__version__} counts its warnings differently; use a"
                 f" supported version."
             )
-        first = (
-            counters.ctypes.data - counters.itemsize
-        )  # each counter follows the warning's info
+        # each counter follows the warning's info
+        first = counters.ctypes.data - counters.itemsize
         a = Addresses.of(np.zeros(Addresses.n_words, dtype=np.int64))
         a.step = function("mj_step")
         a.set_state = function("mj_setState")

@@ -57,12 +57,10 @@ class BodyMotion(Record):
     failed: float  # 1: MuJoCo warned or a number is not finite; the body stands still
     wait: float  # plant ticks until the wheels' speeds are passed to the plant
     asked: Wheels  # [rad/s] or [%]: input of the last run
-    warnings: Annotated[
-        NDArray[np.float64], N_WARNINGS
-    ]  # MuJoCo's counters, as bits; 0.0: none
-    touch: Annotated[
-        NDArray[np.float64], (4, 2, 3)
-    ]  # sensor: net force and where it acts, world
+    # MuJoCo's counters, as bits; 0.0: none
+    warnings: Annotated[NDArray[np.float64], N_WARNINGS]
+    # sensor: net force and where it acts, world
+    touch: Annotated[NDArray[np.float64], (4, 2, 3)]
     bumps: float  # sensor: contacts of the bumper
     felt: Three  # sensor: specific force [m/s2]
     time: float  # from here as mj_getState writes it

@@ -14,15 +14,11 @@ from hilserver.plant.terms import complete
 from hilserver.plant.units import RPM_PER_RAD_S
 
 GRAVITY_M_S2 = 9.81
-PLATES_M = (
-    0.38,
-    0.22,
-    0.10,
-)  # EduArt's chassis with its superstructure: length, width, height
+# EduArt's chassis with its superstructure: length, width, height
+PLATES_M = (0.38, 0.22, 0.10)
 WHEEL_WIDTH_M = 0.055
-BUMPER_GAP_M = (
-    0.01  # how far the bumper is in front of the wheels, which never touch a wall
-)
+# how far the bumper is in front of the wheels, which never touch a wall
+BUMPER_GAP_M = 0.01
 _GRIP_ANGLE = (-1.0, 1.0, 1.0, -1.0)
 """Mecanum wheels fl, rl, fr, rr grip along this times 45 degrees from their plane: an X."""
 
@@ -52,9 +48,8 @@ class BodyParameters:
     # period of the time slice, and of the steps into which it is split
     slice_s: float = quantity(0.002, "period of its slice", jumps="fixed", gt=0)
     step_s: float = quantity(0.001, "step", jumps="fixed", gt=0)
-    torque: bool = (
-        False  # driven by the drives' torque instead of the plant's wheel speeds
-    )
+    # driven by the drives' torque instead of the plant's wheel speeds
+    torque: bool = False
     sensors: bool = False  # whether imu.* and tof.* come from here
     stall_torque_nm: float = quantity(
         2.0, "torque of a drive at full duty and standstill", gt=0, le=1e4

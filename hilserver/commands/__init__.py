@@ -48,10 +48,8 @@ COMMANDS = {
 
 STARTING = "stopped while starting; nothing was done"
 STOPPED = "stopped before it was finished"
-SERVICES = (
-    ["run"],
-    ["page"],
-)  # their log, JSON perhaps, and the exit code say how they ended
+# their log, JSON perhaps, and the exit code say how they ended
+SERVICES = (["run"], ["page"])
 """What a signal leaves of any command but `run`, whose own words have the form of its log."""
 
 

@@ -23,9 +23,8 @@ if (
     from hilserver.daemon.daemon import Daemon
 
 STATUS_EVERY_S = 2.0
-LONG_START_S = (
-    20.0  # after so long it is said what a start waits for, then ever more rarely
-)
+# after so long it is said what a start waits for, then ever more rarely
+LONG_START_S = 20.0
 HELD_UP_SHARE = 0.5  # of a core: a start that has had less waits for the processor
 _NOWHERE: dict[str, object] = dict.fromkeys(
     ("opcua", "metrics", "shield", "foxglove", "ros2")

@@ -19,9 +19,8 @@ _KEPT_AS: Final = "last.json"
 class CompileProgress:
     """What has been compiled so far, compared with the last time on this computer."""
 
-    expected: (
-        int | None
-    )  # functions; None: some are compiled already, nobody knows how many
+    # functions; None: some are compiled already, nobody knows how many
+    expected: int | None
     # of the last start that compiled all; infinite if there was none
     s_per_function: float
     count: int = 0

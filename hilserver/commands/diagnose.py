@@ -23,7 +23,7 @@ from hilserver.commands.options import (
 )
 from hilserver.diagnosis.many import on_cluster
 from hilserver.diagnosis.output import REPORT, write, write_files
-from hilserver.diagnosis.pipeline import Outcome, Task
+from hilserver.diagnosis.pipeline import Task, TaskOutcome
 from hilserver.diagnosis.pipeline import run as diagnose
 from hilserver.errors import EXIT_DONE, ConfigError, FailedError, LogError
 from hilserver.program.progress import Progress
@@ -131,7 +131,7 @@ def run(args: argparse.Namespace) -> int:
     return EXIT_DONE
 
 
-def _aid(args: argparse.Namespace, outcome: Outcome) -> str:
+def _aid(args: argparse.Namespace, outcome: TaskOutcome) -> str:
     """Write what helps after an error; return the words that say where it is."""
     if not outcome.files:
         return ""
@@ -210,7 +210,7 @@ def _each(args: argparse.Namespace) -> int:
 
 def _outcomes(
     args: argparse.Namespace, tasks: list[Task]
-) -> Generator[tuple[int, Outcome], None, None]:
+) -> Generator[tuple[int, TaskOutcome], None, None]:
     if args.dask:
         return on_cluster(diagnose, tasks, args.dask)
     return in_processes(diagnose, tasks, args.jobs)

@@ -14,7 +14,7 @@ from hilserver.diagnosis.report.svg import Plot, span_of
 from hilserver.observer.correction import GATE_1, GATE_2
 from hilserver.observer.layout import BIAS, YAW, Shown, X, Y
 from hilserver.observer.log_noise import sd_of
-from hilserver.observer.offline import POSITION, Course, Series
+from hilserver.observer.offline import POSITION, EstimatedCourse, MeasuredSeries
 from hilserver.observer.offline import run as run_filter
 from hilserver.plant.layout import Parameters
 
@@ -29,8 +29,8 @@ class Observed:
     """One segment: its measurements, and the estimate from them."""
 
     number: int
-    series: Series
-    course: Course
+    series: MeasuredSeries
+    course: EstimatedCourse
     # by the filter or the smoother
     estimate: Array
     covariance: Array
@@ -73,7 +73,7 @@ class Observed:
 
 def dead_reckoning(p: Parameters, c: Array, one: Observed) -> Array:
     """Return the path by the wheels alone, from the first known pose; shape (n, 2)."""
-    course = run_filter(p, c, Series(one.series.wheels, np.zeros((0, 4))))
+    course = run_filter(p, c, MeasuredSeries(one.series.wheels, np.zeros((0, 4))))
     x, first = course.estimate, int(np.argmax(one.known))
     turn = one.course.estimate[first, YAW] - x[first, YAW]
     cos, sin = math.cos(turn), math.sin(turn)
@@ -84,7 +84,7 @@ def dead_reckoning(p: Parameters, c: Array, one: Observed) -> Array:
     return path
 
 
-def mean_nis(courses: Sequence[Course]) -> float:
+def mean_nis(courses: Sequence[EstimatedCourse]) -> float:
     """Return the mean of the squared innovations over their covariance; an outlier is its gate."""
     nis = np.concatenate([one.innovations for one in courses])
     capped = np.minimum(nis, (GATE_2 / 2.0, GATE_1))

@@ -32,7 +32,7 @@ from hilserver.errors import (
     UserError,
     reason,
 )
-from hilserver.logs import Log, State, open_writer, read_log
+from hilserver.logs import Log, RecordedState, open_writer, read_log
 from hilserver.logs.provenance import make_run
 from hilserver.logs.writing import check_suffix
 from hilserver.program.progress import Progress
@@ -203,14 +203,14 @@ class _Replay:
                 " leave --patch out, or replay its set-points with --as-inputs"
             )
 
-    def _snapshot(self, engine: Engine) -> State:
+    def _snapshot(self, engine: Engine) -> RecordedState:
         path = self._args.start
         try:
             words, meta = read_snapshot(path)
         except UserError as error:
             raise LogError(f"{path}: {error}") from None
         engine.check(str(path), meta["identity"], words)
-        return State(0, int(meta["tick"]), words)
+        return RecordedState(0, int(meta["tick"]), words)
 
     async def _play(
         self, engine: Engine, plan: Plan, comparison: Comparison | None

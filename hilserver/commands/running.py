@@ -72,10 +72,8 @@ def _recorded(assembly: Assembly, path: Path | None) -> Assembly:
     return dataclasses.replace(assembly, config=config)
 
 
-LINKS_AND_MORE = (
-    *LINKS,
-    recalibration.parts,
-)  # rooms above the daemon, which may not import them
+# rooms above the daemon, which may not import them
+LINKS_AND_MORE = (*LINKS, recalibration.parts)
 
 
 class Run:
@@ -113,9 +111,8 @@ class Run:
     async def robot(self) -> int:
         """Run until time is over or the scheduler ends; return the exit code."""
         virtual = self._assembly.config.scheduler.backend == "virtual"
-        waits = (
-            virtual and self._duration_s is not None
-        )  # the duration starts at its first tick
+        # the duration starts at its first tick
+        waits = virtual and self._duration_s is not None
         daemon = Daemon(
             self._assembly,
             self._limiter,

@@ -16,12 +16,12 @@ from hilserver.monitoring.logging_setup import setup_logging
 from hilserver.program.progress import Progress
 from hilserver.sweep.batch import rig_for
 from hilserver.sweep.campaign import DaskWorkers, LocalWorkers, outcomes
-from hilserver.sweep.journal import Journal
+from hilserver.sweep.journal import SweepJournal
 from hilserver.sweep.junit import write_junit
 from hilserver.sweep.only import drive_again
-from hilserver.sweep.prepare import Prepared, prepare
+from hilserver.sweep.prepare import PreparedSweep, prepare
 from hilserver.sweep.report.page import write_report
-from hilserver.sweep.table import Table, read_table, table_of, write_table
+from hilserver.sweep.table import MachineTable, read_table, table_of, write_table
 from hilserver.sweep.words import compare, details, headline, plan
 
 EXAMPLE = "hilserver sweep sweep.yaml -o result --workers 2"
@@ -93,9 +93,8 @@ def run(args: argparse.Namespace) -> int:
         prepared = prepare(args.sweep, args.config)
         if args.only is not None:
             return _only(prepared, args.only, args.out)
-        rig = rig_for(
-            prepared.job
-        )  # compiles once and reports mistakes before any worker
+        # compiles once and reports mistakes before any worker
+        rig = rig_for(prepared.job)
         if args.dry_run:
             began_s = time.monotonic()
             outcome = rig.drive(prepared.machine(0))
@@ -107,7 +106,7 @@ def run(args: argparse.Namespace) -> int:
     return EXIT_DONE
 
 
-def _only(prepared: Prepared, index: int, out: Path) -> int:
+def _only(prepared: PreparedSweep, index: int, out: Path) -> int:
     if not 0 <= index < prepared.sweep.machines:
         raise FailedError(
             f"--only {index}: machines are 0 .. {prepared.sweep.machines - 1}"
@@ -126,9 +125,9 @@ def _only(prepared: Prepared, index: int, out: Path) -> int:
     return EXIT_DONE
 
 
-def _sweep(prepared: Prepared, args: argparse.Namespace) -> Table:
+def _sweep(prepared: PreparedSweep, args: argparse.Namespace) -> MachineTable:
     indices = range(prepared.sweep.machines)
-    journal = Journal(args.out, prepared.job.key, resume=args.resume)
+    journal = SweepJournal(args.out, prepared.job.key, resume=args.resume)
 
     def stopped() -> str:
         return f"stopped after {len(journal.done)} of {len(indices)} machines; go on with --resume"
@@ -145,7 +144,10 @@ def _sweep(prepared: Prepared, args: argparse.Namespace) -> Table:
 
 
 def _drive(
-    prepared: Prepared, journal: Journal, args: argparse.Namespace, progress: Progress
+    prepared: PreparedSweep,
+    journal: SweepJournal,
+    args: argparse.Namespace,
+    progress: Progress,
 ) -> None:
     job, n = prepared.job, prepared.sweep.machines
     left = (index for index in range(n) if index not in journal.done)

@@ -116,7 +116,7 @@ async def _drive(args: argparse.Namespace, endpoint: str, password: str) -> int:
             for axis, found in zip(SET, ranges, strict=True)
             if found is not None
         }
-        driver = Driver(hand, args.speed, args.turn, fastest)
+        driver = KeyDriver(hand, args.speed, args.turn, fastest)
         try:
             with _keys(driver.take):
                 ends = [event.wait() for event in (asked, hung_up, driver.ended)]
@@ -131,7 +131,7 @@ async def _drive(args: argparse.Namespace, endpoint: str, password: str) -> int:
     return EXIT_DONE
 
 
-class Driver:
+class KeyDriver:
     """Turns held keys into commands that are renewed as long as they are held."""
 
     def __init__(

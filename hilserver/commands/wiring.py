@@ -26,7 +26,8 @@ from hilserver.status import UNCERTAIN_LAST_USABLE_VALUE
 EXAMPLE = "hilserver wiring --demo"
 MOVES_RPM = 0.05
 SETTLE_S = 0.4
-STOOD_S = 0.4  # a controller that loses the pose for a moment stops, then resumes the same wheel
+# a controller that loses the pose for a moment stops, then resumes the same wheel
+STOOD_S = 0.4
 LOOK_S = 0.005
 UNIT_TOLERANCE = 0.05
 STALE_TOLERANCE_MS = 150.0

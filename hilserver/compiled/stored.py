@@ -14,7 +14,9 @@ from collections.abc import Callable
 from typing import Any, Final
 
 import numba
-import numba.experimental.function_type  # how the step is passed; numba would load it at a call
+
+# how the step is passed; numba would load it at a call
+import numba.experimental.function_type
 from numba.core import sigutils, typeinfer
 from numba.core.caching import CompileResultCacheImpl, _Cache
 from numba.core.ccallback import CFunc
@@ -44,9 +46,8 @@ for _owner, _names in (
     (typeinfer, ("register_dispatcher",)),
 ):
     for _name in _names:
-        getattr(
-            _owner, _name
-        )  # AttributeError: this version of numba is not the one we know
+        # AttributeError: this version of numba is not the one we know
+        getattr(_owner, _name)
 
 
 class Stored(_Cache):  # type: ignore[misc]

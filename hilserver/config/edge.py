@@ -8,9 +8,8 @@ from pydantic import Field, StringConstraints, model_validator
 from hilserver.config.doors import GRANTS, WRITING, DoorRule, Grant
 from hilserver.config.section import Driver, LinkSection, Section, need
 
-Level = Annotated[
-    str, StringConstraints(pattern=r"^[A-Za-z0-9_.-]{1,64}$")
-]  # one level of a topic
+# one level of a topic
+Level = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
 
 
 class EdgeGroup(Section):

@@ -16,9 +16,8 @@ from hilserver.errors import ConfigError, meant
 Model = TypeVar("Model", bound=BaseModel)
 Path_ = Sequence[str | int]
 MAX_BYTES = 1_000_000
-LIVE_BYTES = (
-    100_000  # of a file that a running daemon reads: more would hold up its event loop
-)
+# of a file that a running daemon reads: more would hold up its event loop
+LIVE_BYTES = 100_000
 MAX_COMPLAINTS = 20
 MAX_NESTING = 50
 MAX_VALUES = 100_000  # aliases count as often as they are used
@@ -39,8 +38,8 @@ _WANTED = {
 }
 """Kinds of errors of pydantic, in words that suit a configuration file."""
 _LENGTHS = {
-    "too_short": "a list with {min_length} or more entries",
-    "too_long": "a list with at most {max_length} entries",
+    "too_short": "{min_length} or more entries",
+    "too_long": "at most {max_length} entries",
     "string_too_short": "a text of {min_length} or more characters",
     "string_too_long": "a text of at most {max_length} characters",
 }

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from hilserver.config.section import Section
 from hilserver.errors import ConfigError
 from hilserver.observer.consider import alternatives, constants, directions
-from hilserver.observer.figures import READMIT_AFTER, Noise, figures
+from hilserver.observer.figures import READMIT_AFTER, MeasuredNoise, figures
 from hilserver.observer.layout import MOST_DIRECTIONS
 from hilserver.plant.parameters import RobotParameters
 from hilserver.small_file import read_small
@@ -53,29 +53,29 @@ class ObserverConfig(Section):
     )
 
 
-class _Read(BaseModel):
+class _FindingsPart(BaseModel):
     """A part of findings.json; keys that the observer does not need are ignored."""
 
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
 
 
-class _Noise(_Read):
+class _Noise(_FindingsPart):
     white_sd: float = Field(ge=0)
     ou_sd: float = Field(0.0, ge=0)
     ou_tau_s: float | None = Field(None, gt=0)
     tail_dof: float | None = None
     step: float | None = Field(None, ge=0)
 
-    def as_noise(self) -> Noise:
+    def as_noise(self) -> MeasuredNoise:
         """Return the noise figures; tails are part of the variance."""
         dof = self.tail_dof
         wider = (dof / (dof - 2.0)) ** 0.5 if dof is not None and dof > 2.0 else 1.0
-        return Noise(
+        return MeasuredNoise(
             self.white_sd * wider, self.ou_sd, self.ou_tau_s or 1.0, self.step or 0.0
         )
 
 
-class _Joint(_Read):
+class _Joint(_FindingsPart):
     parameters: tuple[str, ...]
     covariance: tuple[tuple[float, ...], ...]
 
@@ -89,21 +89,21 @@ class _Joint(_Read):
         return self
 
 
-class _Detectable(_Read):
+class _Detectable(_FindingsPart):
     cause: str
     size: float = Field(ge=0)
 
 
-class _Value(_Read):
+class _Value(_FindingsPart):
     value: float
 
 
-class _Finding(_Read):
+class _Finding(_FindingsPart):
     verdict: str
     parameters: dict[str, _Value] = Field(default_factory=dict)
 
 
-class Found(_Read):
+class Found(_FindingsPart):
     """The findings of a diagnosis that the observer uses."""
 
     schema_: Literal["hilserver.diagnosis/2"] = Field(alias="schema")

@@ -23,29 +23,29 @@ BLOCK_BYTES: Final = 8192
 """Longest block; a controller's may be eight times longer, too much to read at 100 Hz."""
 
 
-class Form(NamedTuple):
+class BlockForm(NamedTuple):
     """Memory form of a type: the code of `struct` and its bytes, big-endian."""
 
     code: str
     size: int
 
 
-FORMS: Final[Mapping[str, Form]] = {
-    "BOOL": Form("?", 1),
-    "BYTE": Form("B", 1),
-    "SINT": Form("b", 1),
-    "USINT": Form("B", 1),
-    "WORD": Form("H", 2),
-    "INT": Form("h", 2),
-    "UINT": Form("H", 2),
-    "DWORD": Form("I", 4),
-    "DINT": Form("i", 4),
-    "UDINT": Form("I", 4),
-    "LWORD": Form("Q", 8),
-    "LINT": Form("q", 8),
-    "ULINT": Form("Q", 8),
-    "REAL": Form("f", 4),
-    "LREAL": Form("d", 8),
+FORMS: Final[Mapping[str, BlockForm]] = {
+    "BOOL": BlockForm("?", 1),
+    "BYTE": BlockForm("B", 1),
+    "SINT": BlockForm("b", 1),
+    "USINT": BlockForm("B", 1),
+    "WORD": BlockForm("H", 2),
+    "INT": BlockForm("h", 2),
+    "UINT": BlockForm("H", 2),
+    "DWORD": BlockForm("I", 4),
+    "DINT": BlockForm("i", 4),
+    "UDINT": BlockForm("I", 4),
+    "LWORD": BlockForm("Q", 8),
+    "LINT": BlockForm("q", 8),
+    "ULINT": BlockForm("Q", 8),
+    "REAL": BlockForm("f", 4),
+    "LREAL": BlockForm("d", 8),
 }
 _SHORT: Final = {
     "X": "BOOL",
@@ -68,7 +68,7 @@ _ENDPOINT = re.compile(
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class BlockPlace:
     """Place of a value in a block."""
 
     type: str
@@ -116,7 +116,7 @@ class Address(NamedTuple):
     """A place in one of a controller's data blocks."""
 
     block: int
-    place: Place
+    place: BlockPlace
 
     @classmethod
     def parse(cls, text: str) -> Self:
@@ -130,7 +130,7 @@ class Address(NamedTuple):
                 f" X, {', '.join(list(FORMS)[1:])}"
             )
         try:
-            return cls(int(match["block"]), Place.parse(kind, match["at"]))
+            return cls(int(match["block"]), BlockPlace.parse(kind, match["at"]))
         except ValueError as error:
             raise ValueError(
                 f"'{text}' is not an address in a data block: {error}"
@@ -172,7 +172,7 @@ def check_address(text: str) -> str:
     return text
 
 
-def overlap(places: Sequence[Place]) -> tuple[Place, Place] | None:
+def overlap(places: Sequence[BlockPlace]) -> tuple[BlockPlace, BlockPlace] | None:
     """Return the first two places that share a bit."""
     ordered = sorted(places, key=lambda place: place.bits.start)
     for before, after in pairwise(ordered):
@@ -192,9 +192,9 @@ class S7Field(Section):
     ] = Field("REAL", description="Type in the controller")  # fmt: skip
 
     @property
-    def place(self) -> Place:
+    def place(self) -> BlockPlace:
         """Its place in the block."""
-        return Place.parse(self.type, str(self.at))
+        return BlockPlace.parse(self.type, str(self.at))
 
     @model_validator(mode="after")
     def _usable(self) -> Self:

@@ -5,7 +5,7 @@ from typing import Annotated, Final, NamedTuple, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from hilserver.config.s7 import FORMS, Address, Place, check_address, overlap
+from hilserver.config.s7 import FORMS, Address, BlockPlace, check_address, overlap
 from hilserver.config.section import Section
 
 ONE_PART: Final = 222  # bytes of data in the smallest message, which has 240 bytes
@@ -46,7 +46,7 @@ class Block(NamedTuple):
     """Places in one data block that a peer reads or writes."""
 
     number: int
-    places: dict[str, Place]  # by address as configured, with the heartbeat
+    places: dict[str, BlockPlace]  # by address as configured, with the heartbeat
     heartbeat: tuple[str, ...]  # its two addresses; empty without one
 
     @property

@@ -61,20 +61,18 @@ class Gains:
 
     ahead_m: float = 0.15  # distance d of the led point
     pull_per_s: float = 1.5  # k
-    patience_m: float = (
-        0.6  # at this distance from the path point the point stands still
-    )
+    # at this distance from the path point the point stands still
+    patience_m: float = 0.6
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class PathCommand:
     """Output of the control law."""
 
     s: float  # parameter of the path point after this step [rad]
     error_m: float  # distance of the led point from the path point
-    wheels_rpm: dict[
-        str, float
-    ]  # ``fl``, ``rl``, ``fr``, ``rr``; right wheels mirrored
+    # ``fl``, ``rl``, ``fr``, ``rr``; right wheels mirrored
+    wheels_rpm: dict[str, float]
 
 
 STOP = dict.fromkeys(WHEELS, 0.0)
@@ -97,7 +95,7 @@ def wheel_speeds_rpm(robot: Robot, v_m_s: float, om_rad_s: float) -> dict[str, f
 
 def follow(
     eight: Eight, robot: Robot, gains: Gains, s: float, pose: Pose, step_s: float
-) -> Command:
+) -> PathCommand:
     """Return wheel speeds and the next path point for one cycle.
 
     Parameters
@@ -122,7 +120,7 @@ def follow(
     v_m_s = u_x * cos_yaw + u_y * sin_yaw
     om_rad_s = (u_y * cos_yaw - u_x * sin_yaw) / gains.ahead_m
     next_s = math.fmod(s + s_rate * step_s, 2 * math.pi)
-    return Command(next_s, error_m, wheel_speeds_rpm(robot, v_m_s, om_rad_s))
+    return PathCommand(next_s, error_m, wheel_speeds_rpm(robot, v_m_s, om_rad_s))
 
 
 WHEEL_RPM = 20.0

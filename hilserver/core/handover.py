@@ -110,9 +110,8 @@ class HandOver:
         self.present: set[object] = set()
         # client that wrote each set-point last: the value ends with it; None: it stays
         self._writers: dict[int, object] = {}
-        self._left: set[int] = (
-            set()
-        )  # set-points of clients that have left, not yet zero
+        # set-points of clients that have left, not yet zero
+        self._left: set[int] = set()
         leases.begin(owner)
         self._image, self._events = image, events
         self._fallback, self._before, self._speaker = fallback, NOBODY, ""

@@ -55,12 +55,10 @@ class Refusal(StrEnum):
 _CHOOSING: Final = frozenset({"opcua", "page"})  # they choose their signals at run time
 _WITH_HANDS: Final = frozenset({"opcua", "page", "ros2"})  # a person may drive by them
 _MOST_DENIED = 64  # sources whose refusal was reported, until they have control
-_MOST_REPORTED = (
-    256  # refusals beside another writer that were reported, until it has gone
-)
-_HELD_NS = (
-    1_000_000_000  # for so long a client without a link holds what it has written
-)
+# refusals beside another writer that were reported, until it has gone
+_MOST_REPORTED = 256
+# for so long a client without a link holds what it has written
+_HELD_NS = 1_000_000_000
 _GRAIN_NS = 20_000_000  # accuracy of the time at which a command came in
 
 _MODE: Final = Inputs.where("mode").start
@@ -85,9 +83,8 @@ def reasons_of(source: str, *, is_door: bool = False) -> set[Refusal]:
     if source not in _WITH_HANDS:
         reasons.discard(Refusal.NOT_AT_REST)
     if kind_of(source) not in AUTOMATIC - OFFERING:
-        reasons.discard(
-            Refusal.NOT_STARTED
-        )  # a link that repeats itself is not counted
+        # a link that repeats itself is not counted
+        reasons.discard(Refusal.NOT_STARTED)
     if not is_door:
         reasons.discard(Refusal.NOT_GRANTED)
     return reasons
@@ -168,18 +165,14 @@ class InputGate(HandOver):
         self._newest: dict[int, tuple[str, float]] = {}
         self._change: tuple[int, int] | None = None
         self._denied: dict[str, str] = {}
-        self._writing: dict[
-            int, tuple[str, int]
-        ] = {}  # slot: who writes it, and since when last
-        self._silent: set[str] = (
-            set()
-        )  # links that have nothing new to say: others may write
-        self._reported: dict[
-            tuple[str, str], str
-        ] = {}  # refused source and signal: beside whom
-        self._held: set[str] = (
-            set()
-        )  # told to let go first, or that they wait for Start
+        # slot: who writes it, and since when last
+        self._writing: dict[int, tuple[str, int]] = {}
+        # links that have nothing new to say: others may write
+        self._silent: set[str] = set()
+        # refused source and signal: beside whom
+        self._reported: dict[tuple[str, str], str] = {}
+        # told to let go first, or that they wait for Start
+        self._held: set[str] = set()
         self._counted = {g for g in SAMPLED if f"internal.samples_{g}" in table}
         self._samples: Counter[str] = Counter()
 
@@ -343,9 +336,8 @@ class InputGate(HandOver):
             if writer in ("", source) or writer in self._silent:
                 continue
             if signal.is_measured or kind_of(writer) == kind_of(source):
-                is_link = (
-                    kind_of(writer) in OFFERING
-                )  # whose silence is judged elsewhere
+                # whose silence is judged elsewhere
+                is_link = kind_of(writer) in OFFERING
                 if is_link or now_ns - last_ns < _HELD_NS:
                     return writer
         return ""
@@ -439,7 +431,8 @@ class InputGate(HandOver):
             reason is Refusal.NOT_IN_CONTROL and self._denied.get(source) == self.owner
         )
         if kind_of(source) in OFFERING and (is_denied or reason is Refusal.NOT_STARTED):
-            return  # it repeats itself: an offer is kept, and after Start it says it again
+            # it repeats itself: an offer is kept, and after Start it says it again
+            return
         self.rejected[(self.label(source), reason.value)] += 1
         is_held_back = reason in (Refusal.NOT_AT_REST, Refusal.NOT_STARTED)
         if is_denied or (is_held_back and source in self._held):

@@ -58,9 +58,8 @@ class Figures:
     decisions: Counter[str] = field(
         default_factory=lambda: Counter(dict.fromkeys(OUTCOMES, 0))
     )
-    failures: int = (
-        0  # windows that could not be judged, lines that could not be written
-    )
+    # windows that could not be judged, lines that could not be written
+    failures: int = 0
     waits: bool = False  # a proposal is open
     changed: bool = False  # the gap has left its usual range since the last look
     is_looking: bool = False  # a diagnosis runs

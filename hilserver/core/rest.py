@@ -89,9 +89,8 @@ class Interlock:
 
     def adopt(self) -> None:
         """Take over a restored state: one that waited waits again, and none ends a wait."""
-        in_state = bool(
-            self._image.shadow[self._slot]
-        )  # a frame comes first; 0 is 0 in any type
+        # a frame comes first; 0 is 0 in any type
+        in_state = bool(self._image.shadow[self._slot])
         self._set(self.waits or (self.must_wait and in_state))
 
     def show(self) -> None:

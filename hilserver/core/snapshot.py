@@ -43,9 +43,8 @@ _DAMAGED = (
 MOST_BYTES = 1 << 26  # unpacked size limit of a snapshot; a state has less than 1 MB
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
 _SERVED_WITHIN_S = 2.0
-MOST_SNAPSHOTS = (
-    100  # files in the folder: callers of SaveSnapshot must not fill the disk
-)
+# files in the folder: callers of SaveSnapshot must not fill the disk
+MOST_SNAPSHOTS = 100
 
 
 class SnapshotStore:
@@ -68,9 +67,8 @@ class SnapshotStore:
         } | parameters
         self.initial = self._image.live.copy()  # the state before the first tick
         self.is_restoring = False  # whether a state is on its way into the plant
-        self.restored: list[
-            Callable[[], None]
-        ] = []  # called after a state was restored
+        # called after a state was restored
+        self.restored: list[Callable[[], None]] = []
         self._lock = asyncio.Lock()
 
     def reset(self) -> None:

@@ -36,20 +36,17 @@ class Assembly:
     # in force: `from_file` with the changes of command-line options
     config: Config
     from_file: Config
-    path: (
-        Path | None
-    )  # the configuration file; relative paths in it are relative to its folder
+    # the configuration file; relative paths in it are relative to its folder
+    path: Path | None
     robot: RobotParameters
     table: SignalTable
     base_period_ns: int
-    slices: Sequence[
-        Slice
-    ]  # compiled ones first, in the order in which they run in a tick
+    # compiled ones first, in the order in which they run in a tick
+    slices: Sequence[Slice]
     composition: Composition
     configured: RobotParameters  # the plant of `config` alone
-    patch: Patch | None = (
-        None  # laid over the plant of `config`, which stays as it was read
-    )
+    # laid over the plant of `config`, which stays as it was read
+    patch: Patch | None = None
 
     @property
     def folder(self) -> Path:

@@ -25,7 +25,7 @@ from hilserver.config.ros2 import REAL_ROBOT
 from hilserver.config.timing import COMMUNICATION_SLICES
 from hilserver.daemon.assembled import Assembly
 from hilserver.errors import ConfigError
-from hilserver.kernel import BlockUse, Composition, Part
+from hilserver.kernel import BlockUse, Composition, RobotPart
 from hilserver.kernel.composition import ForeignModel, ObserverUse
 from hilserver.kernel.fitted import fitted_limits
 from hilserver.parameters import PLANT, geometric_gain, read, table_of, with_values
@@ -276,13 +276,15 @@ class _AssemblyBuilder:
         first = self._config.plant.slice
         return sorted(slices, key=lambda s: (not s.compiled, s.name != first))
 
-    def _parts(self, slices: Sequence[Slice]) -> list[Part]:
+    def _parts(self, slices: Sequence[Slice]) -> list[RobotPart]:
         sensors = self._config.sensors
         self._need_compiled(("plant", "slice"), self._config.plant.slice, slices)
         body = self._config.mechatronic
-        parts = [Part("robot", self._config.plant.slice)]
+        parts = [RobotPart("robot", self._config.plant.slice)]
         if body.turns_wheels:
-            parts.insert(0, Part("body_wheels", self._config.plant.slice, of_body=True))
+            parts.insert(
+                0, RobotPart("body_wheels", self._config.plant.slice, of_body=True)
+            )
         for name in ("imu", "battery", "tof", "nav"):
             slice_name = getattr(sensors, name).slice
             self._need_compiled(("sensors", name, "slice"), slice_name, slices)
@@ -291,17 +293,17 @@ class _AssemblyBuilder:
                 and body.sensors == "body"
                 and name in ("imu", "tof", "nav")
             )
-            parts.append(Part(name, slice_name, of_body))
+            parts.append(RobotPart(name, slice_name, of_body))
             if name == "battery":
-                parts.append(Part("shield", slice_name))
+                parts.append(RobotPart("shield", slice_name))
         if body.enabled:
             self._need_compiled(("mechatronic", "slice"), body.slice, slices)
-            parts.append(Part("body", body.slice, of_body=True))
+            parts.append(RobotPart("body", body.slice, of_body=True))
         if self._config.observer.enabled:
             self._need_compiled(
                 ("observer", "slice"), self._config.observer.slice, slices
             )
-            parts.append(Part("observer", self._config.observer.slice))
+            parts.append(RobotPart("observer", self._config.observer.slice))
         return parts
 
     def _need_compiled(

@@ -65,9 +65,8 @@ class Pace:
     policy: OverrunPolicy = field(default_factory=OverrunPolicy)
     limits: OverrunLimits = field(default_factory=OverrunLimits)
     realtime: RealtimeSettings = UNDEMANDING
-    command_limit_ticks: int = (
-        0  # ticks without a set-point before they go to zero; 0: never
-    )
+    # ticks without a set-point before they go to zero; 0: never
+    command_limit_ticks: int = 0
     paused: bool = True
     freeze_gc: bool = False
 

@@ -26,7 +26,7 @@ from hilserver.io.shield import link as shield
 from hilserver.io.shield import metrics as shield_metrics
 from hilserver.io.shield.status import ShieldStatus
 from hilserver.io.world import Part, World
-from hilserver.metrics import Source
+from hilserver.metrics import MetricSource
 from hilserver.monitoring.audit import METRICS as AUDIT_METRICS
 from hilserver.monitoring.health_http import HealthSources, HttpServer
 from hilserver.monitoring.metrics import Metrics
@@ -110,28 +110,34 @@ def make_metrics(
     """Return the metrics; `config` is called each time, as a reload changes it."""
     core, outputs, scheduler = of.core, of.outputs, of.core.scheduler
     return Metrics(
-        Source(scheduler_metrics.METRICS, lambda: scheduler_metrics.pace(scheduler)),
-        Source(core_metrics.STATE_METRICS, lambda: of.control.state),
-        Source(core_metrics.PARAMETER_METRICS, lambda: len(core.parameters.differing)),
-        Source(core_metrics.INPUT_METRICS, lambda: core_metrics.inputs(core.gate)),
-        Source(peer_metrics.METRICS, of.peers),
-        Source(
+        MetricSource(
+            scheduler_metrics.METRICS, lambda: scheduler_metrics.pace(scheduler)
+        ),
+        MetricSource(core_metrics.STATE_METRICS, lambda: of.control.state),
+        MetricSource(
+            core_metrics.PARAMETER_METRICS, lambda: len(core.parameters.differing)
+        ),
+        MetricSource(
+            core_metrics.INPUT_METRICS, lambda: core_metrics.inputs(core.gate)
+        ),
+        MetricSource(peer_metrics.METRICS, of.peers),
+        MetricSource(
             shield_metrics.METRICS,
             lambda: [p for p in of.peers() if isinstance(p, ShieldStatus)],
         ),
-        Source(
+        MetricSource(
             ros2_metrics.METRICS,
             lambda: [p for p in of.peers() if isinstance(p, Ros2Status)],
         ),
-        Source(metrics.LATENCY_METRICS, lambda: outputs.end_to_end),
-        Source(metrics.GAP_METRICS, outputs.model_gap),
-        Source(metrics.OUTPUT_METRICS, outputs.exported),
-        Source(metrics.ALARM_METRICS, lambda: gaps.alarms),
-        Source(fault_metrics.METRICS, core.faults.counts),
-        Source(observer_metrics.METRICS, lambda: _observed(core)),
-        Source(AUDIT_METRICS, lambda: {item.name: item.ok for item in of.audit}),
-        Source(metrics.TASK_METRICS, lambda: core.tasks),
-        Source(
+        MetricSource(metrics.LATENCY_METRICS, lambda: outputs.end_to_end),
+        MetricSource(metrics.GAP_METRICS, outputs.model_gap),
+        MetricSource(metrics.OUTPUT_METRICS, outputs.exported),
+        MetricSource(metrics.ALARM_METRICS, lambda: gaps.alarms),
+        MetricSource(fault_metrics.METRICS, core.faults.counts),
+        MetricSource(observer_metrics.METRICS, lambda: _observed(core)),
+        MetricSource(AUDIT_METRICS, lambda: {item.name: item.ok for item in of.audit}),
+        MetricSource(metrics.TASK_METRICS, lambda: core.tasks),
+        MetricSource(
             metrics.PROGRAM_METRICS,
             lambda: metrics.Program(config().sha256, len(asyncio.all_tasks())),
         ),

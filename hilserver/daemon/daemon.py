@@ -173,9 +173,8 @@ class Daemon:
         """Start everything in order; what was started ends in reverse order, the plant first."""
         ending = self._resources
         self.core.tasks.tell = self._on_task_end
-        ending.push_async_callback(
-            self.core.tasks.end
-        )  # whatever a part has left behind
+        # whatever a part has left behind
+        ending.push_async_callback(self.core.tasks.end)
         ending.callback(self.events.subscribe(log_event))
         ending.callback(self.events.subscribe(self._on_event))
         for why in self.assembly.not_replayable:

@@ -83,9 +83,8 @@ class Scenarios:
 
     def cut_short(self) -> None:
         """End the steps, so that none drives a robot that was stopped; faults continue."""
-        drove = (
-            self._stage.drives
-        )  # else another writer of source scenario keeps control
+        # else another writer of source scenario keeps control
+        drove = self._stage.drives
         self._stage.stop()
         if self._playing is not None:
             self._playing = replace(

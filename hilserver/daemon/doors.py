@@ -60,9 +60,8 @@ def _people(config: Config) -> list[str]:
     *written, called = _EXAMPLES
     needed = [needed_role(permissions.write, name) for name in written]
     if needed[-1] is not None:
-        needed[-1] = max(
-            needed[-1], Role.ENGINEER
-        )  # of parameters, whatever the table says
+        # of parameters, whatever the table says
+        needed[-1] = max(needed[-1], Role.ENGINEER)
     needed.append(needed_role(permissions.call, called))
     return [_who(config, role) for role in needed]
 

@@ -19,19 +19,16 @@ EXPORTED = (
     *(f"wheel.{w}.speed_rpm" for w in WHEELS),
 )
 """Outputs that metrics show: few, as each is a time series."""
-OF_THE_BODY = (
-    "mech.gap_m",
-    "mech.gap_yaw_rad",
-)  # also shown, if the mechatronic model runs
+# also shown, if the mechatronic model runs
+OF_THE_BODY = ("mech.gap_m", "mech.gap_yaw_rad")
 
 
 class PublishedOutputs:
     """What the publish slice shows."""
 
     def __init__(self, core: Core) -> None:
-        self.frame: Frame | None = (
-            None  # the newest one that was published; None before the first
-        )
+        # the newest one that was published; None before the first
+        self.frame: Frame | None = None
         # from a change of a set-point to the first published output that contains it
         self.end_to_end = Histogram125()
         self._core = core

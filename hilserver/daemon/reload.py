@@ -28,7 +28,7 @@ _log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class ChangedKey:
     """A key of config.yaml whose value has changed, such as ``logging.level``."""
 
     key: str
@@ -36,13 +36,15 @@ class Change:
     after: Any
 
 
-def changes(before: Config, after: Config) -> list[Change]:
+def changes(before: Config, after: Config) -> list[ChangedKey]:
     """Return every key that differs; a list counts as one value."""
     old, new = (
         dict(_leaves(config.model_dump(mode="json"))) for config in (before, after)
     )
     keys = sorted(old.keys() | new.keys())
-    return [Change(k, old.get(k), new.get(k)) for k in keys if old.get(k) != new.get(k)]
+    return [
+        ChangedKey(k, old.get(k), new.get(k)) for k in keys if old.get(k) != new.get(k)
+    ]
 
 
 def _leaves(section: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -83,9 +85,8 @@ class Reloader:
 
     def __init__(self, daemon: Daemon, out: Stream | None = None) -> None:
         self._daemon, self._out = daemon, out
-        self._patches = (
-            daemon.desk.patches
-        )  # has the file without options: those are not changes
+        # has the file without options: those are not changes
+        self._patches = daemon.desk.patches
         self._lock = asyncio.Lock()
 
     async def reload(self) -> bool:

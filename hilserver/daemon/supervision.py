@@ -13,7 +13,7 @@ from hilserver.fmu.layout import hangs_since, slow_call
 from hilserver.monitoring.logging_setup import log_overrun
 from hilserver.plant.layout import State
 from hilserver.scheduler import OverrunReport
-from hilserver.scheduler.causes import Cause
+from hilserver.scheduler.causes import OverrunCause
 from hilserver.scheduler.overruns import STALLED
 
 NOTICES = {
@@ -89,7 +89,7 @@ class Supervision:
             slow_ns = slow_call(a, report.tick)
             if 2 * slow_ns >= report.execution_ns > 0:
                 part = f"{slow_ns / 1e6:.3f} ms of it in FMU '{name}'"
-                return replace(report, cause=Cause.SLICE, part=part)
+                return replace(report, cause=OverrunCause.SLICE, part=part)
         return report
 
     def _look_at_models(self) -> None:

@@ -28,7 +28,7 @@ from hilserver.diagnosis.findings.explain import explain_finding, of_two_wheels
 from hilserver.diagnosis.findings.nested import answers_of
 from hilserver.diagnosis.findings.other_logs import gain_on
 from hilserver.diagnosis.findings.outcome import extension, other_findings, worsened
-from hilserver.diagnosis.findings.worth import Answer
+from hilserver.diagnosis.findings.worth import StageAnswer
 from hilserver.diagnosis.groups.shared import (
     answers_in_groups,
     gains_in_groups,
@@ -273,7 +273,7 @@ def _of_both(first: Sequence[Finding], second: Sequence[Finding]) -> list[Findin
 
 def _on_other_logs(
     member: Member,
-    answers: Sequence[Answer],
+    answers: Sequence[StageAnswer],
     test: MeasuredLog,
     rng: np.random.Generator,
 ) -> dict[str, Gain]:
@@ -285,7 +285,7 @@ def _on_other_logs(
 
 def _collected(
     members: Sequence[Member],
-    answers: Sequence[Answer],
+    answers: Sequence[StageAnswer],
     rng: np.random.Generator,
     gains: Iterable[dict[str, Gain] | None] | None = None,
 ) -> tuple[list[Finding], dict[int, Fitted]]:
@@ -334,7 +334,7 @@ def _not_judged(reasons: Mapping[str, str]) -> tuple[NotJudged, ...]:
 
 def _diagnosis(
     members: Sequence[Member],
-    answers: Sequence[Answer],
+    answers: Sequence[StageAnswer],
     found: Sequence[Finding],
     fitted: Mapping[int, Fitted],
     refusal: str | None,
@@ -389,7 +389,7 @@ def _findings(
 
 def _evidence(
     m: Member,
-    answers: Sequence[Answer],
+    answers: Sequence[StageAnswer],
     terms: tuple[FittedTerm, ...],
     tracker: Tracker,
 ) -> Evidence:

@@ -9,7 +9,7 @@ import numpy as np
 from hilserver.diagnosis.checks.frame import unidentified, without_kinematics
 from hilserver.diagnosis.decide import limited_duty, one_topic
 from hilserver.diagnosis.decide.beginning import Terms
-from hilserver.diagnosis.decide.revision import Judged, revised
+from hilserver.diagnosis.decide.revision import JudgedStage, revised
 from hilserver.diagnosis.decide.selection import select
 from hilserver.diagnosis.decide.turned_wheels import disproved, with_wheels
 from hilserver.diagnosis.findings.detectable import smallest_of
@@ -33,7 +33,7 @@ class Member:
     log: MeasuredLog  # without its faults
     robot: RobotParameters
     faults: tuple[Finding, ...]
-    judged: dict[str, Judged]  # by stage
+    judged: dict[str, JudgedStage]  # by stage
     reasons: dict[str, str]  # why causes are not judged
 
     @property
@@ -83,9 +83,9 @@ def examine(
     tracker.timed("effects")
     tracker("selecting causes", 0.0)
     scores = {name: p.library.scores(p.base) for name, p in prepared.items()}
-    judged: dict[str, Judged] = {}
+    judged: dict[str, JudgedStage] = {}
 
-    def judge(p: Prepared, others: Sequence[Scores]) -> Judged:
+    def judge(p: Prepared, others: Sequence[Scores]) -> JudgedStage:
         selected = select(p.problem, p.library, p.base, rng, jobs, others, running)
         tracker.timed("selection")
         found = revised(p, selected, rng)

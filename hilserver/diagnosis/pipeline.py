@@ -30,9 +30,8 @@ class Task:
     mapping: str | None = None  # mapping file, or the name of a built-in one
     against: tuple[Path, ...] = ()  # not empty: do these differ from `logs`, and how?
     seed: int = 0
-    jobs: int = (
-        1  # threads or processes of the diagnosis itself; results do not depend on it
-    )
+    # threads or processes of the diagnosis itself; results do not depend on it
+    jobs: int = 1
     # not empty: the gain is measured on these, which are not used for selection or fit
     test: tuple[Path, ...] = ()
     # not empty: groups of logs of one machine, by name, instead of `logs`
@@ -40,7 +39,7 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class TaskOutcome:
     """The outcome of a task: the documents, or a sentence that explains why there are none.
 
     With a sentence, `files` may hold something that helps: a proposed mapping file.
@@ -114,17 +113,17 @@ def refuse_twice(groups: Mapping[str, MeasuredLog]) -> None:
 
 def run(
     task: Task, progress: Report | None = None, say: Callable[[str], None] | None = None
-) -> Outcome:
+) -> TaskOutcome:
     """Judge a task, see `judge`; an error that the user can fix becomes a sentence."""
     reuse_memory()
     try:
         diagnosis = judge(task, progress, say)
     except ForeignLog as error:
         files = {PROPOSAL: error.proposal} if error.proposal else {}
-        return Outcome(error.exit_code, str(error), files=files)
+        return TaskOutcome(error.exit_code, str(error), files=files)
     except UserError as error:
-        return Outcome(error.exit_code, str(error))
+        return TaskOutcome(error.exit_code, str(error))
     found = diagnosis.findings
-    return Outcome(
+    return TaskOutcome(
         line=one_line(found), summary=summary(found), files=documents(diagnosis)
     )

@@ -11,9 +11,8 @@ from typing import Final
 
 # Used in several rooms: counts
 FEWEST_CHANGES: Final = 20  # changes of a channel; fewer show no rate and no copy
-FEWEST_PIECES: Final = (
-    15  # straight pieces, readings at a limit, seconds; fewer may be chance
-)
+# straight pieces, readings at a limit, seconds; fewer may be chance
+FEWEST_PIECES: Final = 15
 FEWEST_SAMPLES: Final = 100  # that a statement about single values rests on
 FEWEST_BLOCKS: Final = 4  # blocks or free runs; fewer do not show their spread
 FEWEST_EVENTS: Final = 3  # gaps, bursts, late steps; fewer may be chance
@@ -21,34 +20,28 @@ FEWEST_EVENTS: Final = 3  # gaps, bursts, late steps; fewer may be chance
 # Used in several rooms: shares
 NEGLIGIBLE: Final = 0.01  # of a value or a whole; smaller deviations count as correct
 SAME: Final = 0.02  # by which equal slopes or steps may differ
-IRREGULAR: Final = (
-    0.05  # of rows or durations that may break the rule even in sound logs
-)
+# of rows or durations that may break the rule even in sound logs
+IRREGULAR: Final = 0.05
 LEFT_SHARE: Final = 0.1  # of a deviance; a cause that leaves more has not explained it
-STANDS: Final = (
-    0.15  # of the distance or turn by the wheels; below, the robot has not moved
-)
+# of the distance or turn by the wheels; below, the robot has not moved
+STANDS: Final = 0.15
 HALF: Final = 0.5  # more often than not
-NEARLY_ALL: Final = (
-    0.9  # of the changes that follow a rule; of a limit: lower readings are free
-)
-INEXACT: Final = (
-    0.005  # of what causes explain, or of a value, lost by their inexact form
-)
+# of the changes that follow a rule; of a limit: lower readings are free
+NEARLY_ALL: Final = 0.9
+# of what causes explain, or of a value, lost by their inexact form
+INEXACT: Final = 0.005
 
 # Used in several rooms: sizes
 FAR_SD: Final = 5.0  # deviations beyond which a value is not plain noise, or impossible
 OUTLIER_SD: Final = 6.0  # deviations beyond which a position is left out
 BLOCK_S: Final = 1.0  # s: the shortest stretch that is drawn or flipped as one
-COMMAND_SLOWEST_S: Final = (
-    0.5  # s: longest delay of a set-point, and longest time between messages
-)
+# s: longest delay of a set-point, and longest time between messages
+COMMAND_SLOWEST_S: Final = 0.5
 SLOWEST_TURN_RAD_S: Final = 0.03  # rad/s: slower turns are noise of the wheel speeds
 TURNS_RAD_S: Final = 0.1  # rad/s from which a robot turns, and is not blocked
 LARGE_STEP_RPM: Final = 4.0  # rpm: a larger change of a wheel's speed is clear
-UNITY: Final = (
-    4.0  # real effects change a channel, or the top speed, by less than this factor
-)
+# real effects change a channel, or the top speed, by less than this factor
+UNITY: Final = 4.0
 
 # Data checks: rounded speeds inside the robot (comb of their spectrum)
 COMB_FEWEST: Final = 500  # samples; fewer have no spectrum
@@ -56,95 +49,77 @@ COMB_CLEAR: Final = 0.05  # smallest coefficient of a rounded quantity
 COMB_TIMES: Final = 5.0  # by which it exceeds the coefficient of a smooth quantity
 
 # Data checks: values copied, held, interpolated, repeated, missing, limited
-COPIED_LEAST_CHANGE_RPM: Final = (
-    0.02  # rpm: smaller changes of a set-point are not used
-)
+# rpm: smaller changes of a set-point are not used
+COPIED_LEAST_CHANGE_RPM: Final = 0.02
 HELD_SLOWEST_HZ: Final = 0.9  # Hz: a GPS has one sample per second; slower means stuck
 HELD_QUANTA: Final = 4.0  # steps of the resolution; a change of more is real
-SLOWER_CLOCK: Final = (
-    0.4  # repeated rows; a source that repeats more has a slower clock
-)
+# repeated rows; a source that repeats more has a slower clock
+SLOWER_CLOCK: Final = 0.4
 HELD_SHARE: Final = 0.8  # share of stretches that last two rows or more
 HELD_SPREAD: Final = 3.0  # longest usual stretch over the shortest in even sampling
 SHORTEST_BURST: Final = 4  # rows of one value while the others moved
 MISSING_IN_BURSTS: Final = 0.02  # share of rows in gaps of four or more
 ZERO_LEAST_M: Final = 0.3  # m beyond what wheels can drive: more than a tag's own jumps
-MISSING_SLOWEST_S: Final = (
-    0.22  # s: slower channels have no clock that a sample could miss
-)
-SPARSE_BETTER: Final = (
-    0.7  # misfit of straight lines over that of stairs, if interpolated
-)
-SPARSE_USUAL_SHARE: Final = (
-    0.2  # share of the set-points that last as long as the usual one
-)
+# s: slower channels have no clock that a sample could miss
+MISSING_SLOWEST_S: Final = 0.22
+# misfit of straight lines over that of stairs, if interpolated
+SPARSE_BETTER: Final = 0.7
+# share of the set-points that last as long as the usual one
+SPARSE_USUAL_SHARE: Final = 0.2
 LIMITED_BEYOND: Final = 0.05  # share of a limit by which the turn exceeds it on average
 
 # Data checks: wheels mapped as set-points and as speeds from one topic
 # s: turns are compared over this time: longer than a loop needs (70 ms), so that it is still on its
 # way, and short enough that the slow error of a heading hardly changes
 ONE_TOPIC_TURN_S: Final = 0.1
-ONE_TOPIC_PIECE_S: Final = (
-    3.0  # s: a piece counts as one; a tag's yaw error is forgotten in 2 s
-)
+# s: a piece counts as one; a tag's yaw error is forgotten in 2 s
+ONE_TOPIC_PIECE_S: Final = 3.0
 # share of the way from speeds (0) to set-points (1); below, neither fits: a source comes earlier
 # than any drive's delay explains
 ONE_TOPIC_LEAST: Final = -1.5
-ONE_TOPIC_MOST: Final = (
-    2.5  # the same share; above, neither fits: a source comes too late
-)
+# the same share; above, neither fits: a source comes too late
+ONE_TOPIC_MOST: Final = 2.5
 
 # Data checks: sign, unit, frame, rest
 SIGN_SURE: Final = 0.7  # least correlation at which a sign is believed
 SIGN_AHEAD: Final = 0.1  # largest sideways share at which the course counts as heading
-AXIS_SURE: Final = (
-    0.9  # least concentration of heading minus course that is an angle of its own
-)
-LARGEST_SKEW_RAD: Final = (
-    0.3  # rad between heading and course that needs no other frame
-)
+# least concentration of heading minus course that is an angle of its own
+AXIS_SURE: Final = 0.9
+# rad between heading and course that needs no other frame
+LARGEST_SKEW_RAD: Final = 0.3
 UNIT_ALIKE: Final = 0.8  # least correlation at which a factor is believed
 UNIT_CLOSE: Final = 1.6  # factor by which a ratio may differ from that of two units
-UNIT_CLOSE_WHEEL: Final = (
-    1.15  # the same between a wheel and its set-point or its neighbour
-)
-UNIT_OTHER_AXIS: Final = (
-    0.6  # share of the misfit that axes of different units may leave
-)
-BLOCKED_LEAST_WAY_M: Final = (
-    0.3  # m: distance by the wheels in 2 s; more than a tag's noise
-)
+# the same between a wheel and its set-point or its neighbour
+UNIT_CLOSE_WHEEL: Final = 1.15
+# share of the misfit that axes of different units may leave
+UNIT_OTHER_AXIS: Final = 0.6
+# m: distance by the wheels in 2 s; more than a tag's noise
+BLOCKED_LEAST_WAY_M: Final = 0.3
 BLOCKED_FEWEST: Final = 2  # windows in a row
 STILL_RPM: Final = 1.0  # rpm: below, a wheel is at rest except for its noise
-ALTERNATING: Final = (
-    0.35  # share of steps against the previous one, in a channel with noise
-)
+# share of steps against the previous one, in a channel with noise
+ALTERNATING: Final = 0.35
 
 # Noise of a channel
 # s: what is correlated for longer is misfit; segments all shorter show no correlation
 NOISE_TAU_MAX_S: Final = 5.0
 NOISE_WINDOW_S: Final = 12.0  # s: longest stretch with one level and slope
-NOISE_GATED_MAX: Final = (
-    0.2  # share; more is not a tail: the gate would leave out a misfit
-)
+# share; more is not a tail: the gate would leave out a misfit
+NOISE_GATED_MAX: Final = 0.2
 NOISE_NATS: Final = 3.0  # log likelihood that each further noise parameter must gain
 SHORT_DOF: Final = 4.0  # degrees of freedom of the noise of short segments
 OUTLIERS_IN_A_ROW: Final = 4  # positions; a longer stretch of outliers is an effect
 NOISE_WHITE: Final = 0.05  # largest first autocorrelations that still count as white
-NOISE_FEW_FAR: Final = (
-    0.002  # share of far samples above which a channel is not plain noise
-)
-READING_CALM: Final = (
-    0.1  # share of a step by which the quantity may move between samples
-)
+# share of far samples above which a channel is not plain noise
+NOISE_FEW_FAR: Final = 0.002
+# share of a step by which the quantity may move between samples
+READING_CALM: Final = 0.1
 
 # Screen of all causes
-SCREEN_LEVEL: Final = (
-    0.002  # family-wise; with all other levels below 1 % (specification)
-)
-GROSS: Final = (
-    1.5  # variance of whitened residuals beyond any noise, even in few blocks
-)
+# family-wise; with all other levels below 1 % (specification)
+SCREEN_LEVEL: Final = 0.002
+# variance of whitened residuals beyond any noise, even in few blocks
+GROSS: Final = 1.5
 
 # What a cause must save
 LEAST_GAIN: Final = 10.0  # deviance that a cause must save; no block counts for more
@@ -153,40 +128,33 @@ TIE: Final = 4.0  # deviance, per parameter, within which two causes tie
 # Selection
 SELECTION_MOST_CAUSES: Final = 6  # rounds
 SELECTION_LEAST_SAVED: Final = 8.0  # deviance that a cause must save on held-out blocks
-SELECTION_PLAUSIBLE_SD: Final = (
-    4.0  # prior deviations that no machine exceeds (specification)
-)
+# prior deviations that no machine exceeds (specification)
+SELECTION_PLAUSIBLE_SD: Final = 4.0
 
 # Rivals and superfluous causes
 RIVAL_COSINE: Final = 0.6  # |cos| from which a cause is tried in place of another
 GROUP_COSINE: Final = 0.95  # |cos| from which two causes form a group (specification)
-RIVAL_CLEAR_Z: Final = (
-    2.33  # standard deviations, over the blocks, that are clearly better (1 %)
-)
-SCRUBBING_MUCH: Final = (
-    -0.15
-)  # rotation gain; smaller changes are dimensions rather than tyres
+# standard deviations, over the blocks, that are clearly better (1 %)
+RIVAL_CLEAR_Z: Final = 2.33
+# rotation gain; smaller changes are dimensions rather than tyres
+SCRUBBING_MUCH: Final = -0.15
 SCRUBBING_LATE_S: Final = 0.03  # s: longest latency that tyres make
-LOST_LATE_S: Final = (
-    0.008  # s: a step counts as late from here, if known to a quarter of it
-)
+# s: a step counts as late from here, if known to a quarter of it
+LOST_LATE_S: Final = 0.008
 
 # What causes leave: unknown structure, anchors, changes along the log
 REST_LEVEL: Final = 0.001  # family-wise error of each test of what causes leave
-REST_LEAST_GAIN: Final = (
-    40.0  # deviance that it must save, of structure on held-out blocks, too
-)
-INSTEAD_LEAST_GAIN: Final = (
-    20.0  # deviance that a change or an anchor in a cause's place must save
-)
+# deviance that it must save, of structure on held-out blocks, too
+REST_LEAST_GAIN: Final = 40.0
+# deviance that a change or an anchor in a cause's place must save
+INSTEAD_LEAST_GAIN: Final = 20.0
 LEAST_USEFUL: Final = 0.001  # share of the samples' variance; less is useless
 DOMINANCE: Final = 4.0  # times what structure explains; less leaves a cause in doubt
 
 # What predicts without a name (specification)
 EFFECTIVE_BLOCKS: Final = 8  # fewer show no gain
-EFFECTIVE_LEVEL: Final = (
-    0.01  # of the paired test of its gain over the blocks, one-sided
-)
+# of the paired test of its gain over the blocks, one-sided
+EFFECTIVE_LEVEL: Final = 0.01
 ONE_SIZE: Final = 0.05  # p of Cochran's Q below which its size differs along the log
 # parts of the log in which it must have one size: enough to see a change of half a log, and each of
 # several blocks, without which the scatter inside a part is not known
@@ -194,14 +162,12 @@ STRETCHES: Final = 8
 
 # Drift and comparison
 COMPARE_LEVEL: Final = 0.01  # family-wise error (specification)
-COMPARE_INEXACT: Final = (
-    0.2  # share of a difference by which it may exceed what is possible
-)
+# share of a difference by which it may exceed what is possible
+COMPARE_INEXACT: Final = 0.2
 
 # Intervals and sizes
-DETECTABLE_POWER_SD: Final = (
-    0.95  # deviations above the critical value: about 83 % exceed it
-)
+# deviations above the critical value: about 83 % exceed it
+DETECTABLE_POWER_SD: Final = 0.95
 # further deviations that held-out blocks require (`bench diagnose --class size`)
 DETECTABLE_SELECTION_SD: Final = 1.25
 # times the least size: at exactly that, half of the fits fall below

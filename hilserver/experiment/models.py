@@ -53,9 +53,8 @@ USED: Final = frozenset(
 )
 """What an experiment needs of a recording; nothing else is checked."""
 APART_S: Final = 1.0  # between spans whose clocks began anew
-FEWEST_AT_REST: Final = (
-    5  # samples of the tag from which the place of the start is taken
-)
+# samples of the tag from which the place of the start is taken
+FEWEST_AT_REST: Final = 5
 
 
 class LogSpan(NamedTuple):
@@ -72,9 +71,8 @@ class Courses:
 
     log: MeasuredLog  # checked: without what its data checks refused
     notes: tuple[str, ...]  # what these checks say
-    are_measured: (
-        bool  # False: the wheels are those of the configured drive, from set-points
-    )
+    # False: the wheels are those of the configured drive, from set-points
+    are_measured: bool
     t_s: Array  # shape (n,); from 0 on, and no span overlaps another
     span: Indices  # shape (n,)
     wheels_rpm: Array  # shape (n, 4)

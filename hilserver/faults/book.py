@@ -9,7 +9,7 @@ from typing import Any
 from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.errors import ControlRefused
 from hilserver.faults.links import PeerLine
-from hilserver.faults.mail import Command, Mailbox
+from hilserver.faults.mail import Mailbox, ModifierCommand
 from hilserver.faults.model import Fault, parse_fault
 from hilserver.faults.plan import Planner
 from hilserver.kernel import modifier_layout as lay
@@ -78,9 +78,8 @@ class Faults:
         self._tick = tick
         self._lines = lines
         self._notes: dict[int, _Note] = {}
-        self._leaving: dict[
-            int, int
-        ] = {}  # number: it is gone once this many commands are taken
+        # number: it is gone once this many commands are taken
+        self._leaving: dict[int, int] = {}
         # called with every command, in plain data: {"inject": [...], "start_tick"} or {"clear"}
         self.watchers: list[Callable[[Mapping[str, Any]], None]] = []
         # A restored state brings modifiers of earlier runs along: none may have the same number.
@@ -95,7 +94,7 @@ class Faults:
         sentence, means that none of them was injected.
         """
         parsed = [parse_fault(fault) for fault in faults]
-        commands: list[Command] = []
+        commands: list[ModifierCommand] = []
         notes: dict[int, _Note] = {}
         for fault in parsed:
             if fault.peer is not None:
@@ -104,7 +103,9 @@ class Faults:
             entries = self._planner.entries(fault, self._start(fault, start_tick))
             number = next(self._numbers)
             commands += self._removals(fault.title)
-            commands += [Command(lay.OP_ADD, number, entry) for entry in entries]
+            commands += [
+                ModifierCommand(lay.OP_ADD, number, entry) for entry in entries
+            ]
             notes[number] = _note(fault, entries, self._mailbox.head + len(commands))
         self._send(commands, notes)
         given = [f.model_dump(exclude_none=True, exclude_defaults=True) for f in parsed]
@@ -135,7 +136,7 @@ class Faults:
         """
         if name is None:
             going = [entry for entry in self._acting() if entry.kind != Kind.FORCE]
-            self._mailbox.send([Command(lay.OP_CLEAR)])
+            self._mailbox.send([ModifierCommand(lay.OP_CLEAR)])
             self._leave(entry.number for entry in going)
             self._forget(lambda note: note.fault.fault != FORCE)
             for line in self._lines.values():
@@ -171,7 +172,7 @@ class Faults:
     def reset(self) -> None:
         """End everything, forces and timed inputs too: the simulation goes back to its start."""
         going = self._acting()
-        self._mailbox.send([Command(lay.OP_CLEAR_ALL), self._skip])
+        self._mailbox.send([ModifierCommand(lay.OP_CLEAR_ALL), self._skip])
         self._leave(entry.number for entry in going)
         self._notes.clear()
         for line in self._lines.values():
@@ -191,8 +192,8 @@ class Faults:
         self._mailbox.send([self._skip])
 
     @property
-    def _skip(self) -> Command:
-        return Command(lay.OP_SKIP_TIMED, self._mailbox.timed_rows)
+    def _skip(self) -> ModifierCommand:
+        return ModifierCommand(lay.OP_SKIP_TIMED, self._mailbox.timed_rows)
 
     # --- views ------------------------------------------------------------------------------------
 
@@ -283,7 +284,7 @@ class Faults:
             raise ValueError(f"there is no peer '{peer}'; peers are {known}")
         return self._lines[peer]
 
-    def _removals(self, name: str) -> list[Command]:
+    def _removals(self, name: str) -> list[ModifierCommand]:
         self.active()
         known = [n for n, note in self._notes.items() if note.fault.title == name]
         known += [
@@ -291,9 +292,13 @@ class Faults:
             for entry in self._acting()
             if entry.number not in self._notes and self._unknown(entry, 0).name == name
         ]
-        return [Command(lay.OP_REMOVE, number) for number in dict.fromkeys(known)]
+        return [
+            ModifierCommand(lay.OP_REMOVE, number) for number in dict.fromkeys(known)
+        ]
 
-    def _send(self, commands: Sequence[Command], notes: Mapping[int, _Note]) -> None:
+    def _send(
+        self, commands: Sequence[ModifierCommand], notes: Mapping[int, _Note]
+    ) -> None:
         if not commands:
             return
         removed = {c.number for c in commands if c.operation == lay.OP_REMOVE}

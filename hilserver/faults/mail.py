@@ -10,7 +10,7 @@ from hilserver.kernel.modifier_mail import show_mail
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class ModifierCommand:
     """One command: `operation` on the entries `number`, or a new entry."""
 
     operation: int
@@ -46,7 +46,7 @@ class Mailbox:
         """Timed input rows pushed so far."""
         return self._image.control.timed_head
 
-    def send(self, commands: Sequence[Command]) -> None:
+    def send(self, commands: Sequence[ModifierCommand]) -> None:
         """Hand over commands; one tick takes all of them.
 
         ValueError if the step has no room for them now.
@@ -60,7 +60,7 @@ class Mailbox:
             self._write(((head + offset) & (lay.MAIL_ROWS - 1)) * lay.MAIL_ROW, command)
         show_mail(head + len(commands), self._image.words)
 
-    def _write(self, place: int, command: Command) -> None:
+    def _write(self, place: int, command: ModifierCommand) -> None:
         mail = Mail.of(self._mail, place)
         if command.entry is not None:
             mail.entry = command.entry

@@ -21,9 +21,8 @@ from hilserver.plant.blocks import BlockError
 
 MISSING: Final = "needs FMPy; install it with: pip install 'hilserver[fmu]'"
 MOST_BYTES: Final = 1 << 30  # size of an unpacked FMU
-MOST_DESCRIPTION_BYTES: Final = (
-    1 << 26
-)  # size of its modelDescription.xml, read as a whole
+# size of its modelDescription.xml, read as a whole
+MOST_DESCRIPTION_BYTES: Final = 1 << 26
 _MACHINE: Final = {"AMD64": "x86_64", "arm64": "aarch64"}.get(
     platform.machine(), platform.machine()
 )

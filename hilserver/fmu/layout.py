@@ -80,9 +80,8 @@ N_SHARED: Final = S_MESSAGE + MESSAGE_WORDS
 """Then inputs, parameters, outputs, two states after a step, two states to restore; a state is
 its number of bytes and the bytes."""
 
-OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(
-    6
-)  # what a function of an FMU returns
+# what a function of an FMU returns
+OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)
 EVENT_NEEDED, TERMINATED, STATE_TOO_LARGE, STATE_UNFIT, SILENT = range(16, 21)
 """Further failures that we detect."""
 

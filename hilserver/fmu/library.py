@@ -113,9 +113,8 @@ class Instance:
             raise BlockError(f"does not start: {self.message or 'it gives no reason'}")
         self._set_start(dict(wiring.start))
         self._initialise()
-        self.addresses = self._addresses(
-            wiring, slow_ns
-        )  # the kernels' `a`, valid in this process
+        # the kernels' `a`, valid in this process
+        self.addresses = self._addresses(wiring, slow_ns)
         self.outputs = np.zeros(wiring.n_outputs)  # `y` at time 0
         a = self.addresses
         n_before = int(a[at.A_INPUTS] + a[at.A_PARAMETERS])

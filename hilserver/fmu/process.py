@@ -75,9 +75,8 @@ class Child:
         self._map = mmap.mmap(self._memory, 8 * started.n_words)
         self._words = np.frombuffer(self._map, dtype=np.int64)
         self.initial = started.initial  # `x` at time 0
-        self.addresses = self._addresses(
-            started, setting
-        )  # `a` of the kernels of `exchange`
+        # `a` of the kernels of `exchange`
+        self.addresses = self._addresses(started, setting)
 
     @property
     def message(self) -> str:

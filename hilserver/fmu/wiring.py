@@ -86,9 +86,8 @@ def wire(
             if v.causality == "output" and v.kind != _TEXT
         ]
     tunable = [v for v in fmu.variables.values() if _is_tunable(v)]
-    tunable.sort(
-        key=lambda v: v.name not in start
-    )  # those that the user has set come first
+    # those that the user has set come first
+    tunable.sort(key=lambda v: v.name not in start)
     wiring = Wiring(
         inputs=list(dict.fromkeys(taken)),
         # Those of one type are set in one call: values that only fit together must not be split.

@@ -13,9 +13,8 @@ from hilserver.identify.wheels import files, present
 from hilserver.measured.data import Channel, MeasuredLog
 
 RESTING_RPM: Final = 1.0
-MOSTLY: Final = (
-    0.5  # share of the samples between the edges at which the wheel must rest
-)
+# share of the samples between the edges at which the wheel must rest
+MOSTLY: Final = 0.5
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ _SMALLEST_SHARE = 0.05
 
 
 @dataclass(frozen=True)
-class Step:
+class InputStep:
     """One step of an input and the response."""
 
     t_s: Array  # shape (n,); time since the step, negative before it
@@ -42,13 +42,13 @@ class Step:
     at_s: float  # stamp of the step in its span
 
 
-def find_steps(log: MeasuredLog, wheel: str, quantity: str) -> list[Step]:
+def find_steps(log: MeasuredLog, wheel: str, quantity: str) -> list[InputStep]:
     """Return the steps of ``wheel.{wheel}.{quantity}`` with a constant input before and after.
 
     The input in a row is valid from this row on; the instant of a step is known to within the
     distance of two rows.
     """
-    found: list[Step] = []
+    found: list[InputStep] = []
     source, speed = log[f"wheel.{wheel}.{quantity}"], log[f"wheel.{wheel}.speed_rpm"]
     largest = float(np.max(np.abs(source.values), initial=0.0))
     for span in range(len(log.spans)):
@@ -72,11 +72,13 @@ def find_steps(log: MeasuredLog, wheel: str, quantity: str) -> list[Step]:
             rows = (seen_s >= begin_s) & (seen_s < end_s)
             before, after = (seen_s[rows] < at_s).sum(), (seen_s[rows] >= at_s).sum()
             if before >= 1 and after >= _SAMPLES_MIN:
-                found.append(Step(seen_s[rows] - at_s, seen[rows], size, span, at_s))
+                found.append(
+                    InputStep(seen_s[rows] - at_s, seen[rows], size, span, at_s)
+                )
     return found
 
 
-def averaged(steps: list[Step]) -> tuple[Array, Array]:
+def averaged(steps: list[InputStep]) -> tuple[Array, Array]:
     """Return the mean response per unit of the input on a grid, from the step on.
 
     Each response starts from its own mean before the step; the grid ends at their median length.
@@ -168,7 +170,7 @@ def identify_steps(log: MeasuredLog, source: str | None = None) -> StepResponse:
 
 def _steps(
     log: MeasuredLog, inputs: Sequence[str]
-) -> tuple[str, dict[str, list[Step]]]:
+) -> tuple[str, dict[str, list[InputStep]]]:
     """Return the first input that has steps, and those of each wheel."""
     for quantity in inputs:
         wheels = [w for w in present(log, quantity) if f"wheel.{w}.speed_rpm" in log]
@@ -182,7 +184,7 @@ def _steps(
 
 
 def _flags(
-    log: MeasuredLog, quantity: str, by_wheel: dict[str, list[Step]]
+    log: MeasuredLog, quantity: str, by_wheel: dict[str, list[InputStep]]
 ) -> list[str]:
     if quantity == "duty_pct":
         return []
@@ -207,7 +209,7 @@ class _Fit:
 class _Fits:
     """Least squares over all steps; the speed before each step is free."""
 
-    def __init__(self, steps: list[Step], gain_unit: str, gain: float) -> None:
+    def __init__(self, steps: list[InputStep], gain_unit: str, gain: float) -> None:
         self._unit, self._gain = gain_unit, gain
         self._t_s = np.concatenate([step.t_s for step in steps])
         self._speed = np.concatenate([step.speed_rpm for step in steps])

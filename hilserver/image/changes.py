@@ -72,9 +72,8 @@ class Changes:
             return False
         head = self._image.control.changes_head
         row = self._words[head & (ROWS - 1)]
-        row[NUMBER] = (
-            0  # `find` looks again after its copy: a row that changed meanwhile is none
-        )
+        # `find` looks again after its copy: a row that changed meanwhile is none
+        row[NUMBER] = 0
         row[DUE], row[TAKEN] = due, -1
         self._values[head & (ROWS - 1), PACKED:] = packed
         row[NUMBER] = number

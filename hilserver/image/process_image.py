@@ -99,9 +99,8 @@ class ProcessImage(ImageReader):
     def _describe(self, words: NDArray[np.int64]) -> None:
         text = lay.describe(self._table, self.layout, self._run)
         start = lay.N_CONTROL_WORDS * 8
-        words[word.JSON_BYTES] = (
-            0  # to readers an empty description is not complete yet
-        )
+        # to readers an empty description is not complete yet
+        words[word.JSON_BYTES] = 0
         words.view(np.uint8)[start : start + len(text)] = np.frombuffer(
             text, dtype=np.uint8
         )

@@ -39,9 +39,8 @@ class Frame:
     number: int  # how many frames were published before this one
     tick: int  # the tick that computed the values
     planned_ns: int  # planned start of that tick, CLOCK_MONOTONIC
-    latched_rows: (
-        int  # input rows latched up to this frame, see `ProcessImage.pushed_rows`
-    )
+    # input rows latched up to this frame, see `ProcessImage.pushed_rows`
+    latched_rows: int
     values: NDArray[np.float64]  # shape (n_slots,)
     status: NDArray[np.int64]  # shape (n_slots,); OPC UA status codes
 

@@ -30,7 +30,8 @@ REQUEST = 22  # number of the newest snapshot or restore request
 REQUEST_KIND = 23
 REQUEST_DONE = 24
 REQUEST_TICK = 25
-STATE = 26  # state of the daemon, latched for sim.state; negative: it comes in input rows (replay)
+# state of the daemon, latched for sim.state; negative: it comes in input rows (replay)
+STATE = 26
 FIRST_FAULT = 27  # first fault number since the last acknowledge
 HEARTBEAT = 28  # incremented by the communication side
 HEARTBEAT_SEEN = 29
@@ -53,6 +54,5 @@ SETPOINT_SLOTS = 52  # how many slots, from the first, are set-points
 COMMAND_LIMIT = 53  # ticks without a set-point until they become zero; 0: never
 COMMANDED = 54  # 1: a set-point was latched in this tick
 STOP_REQUEST = 55  # time of the last press of Stop [ns], by any process
-STOP_ACKNOWLEDGED = (
-    56  # the press that Reset acknowledged; if they differ, Stop is in force
-)
+# the press that Reset acknowledged; if they differ, Stop is in force
+STOP_ACKNOWLEDGED = 56

@@ -38,9 +38,8 @@ class Arrivals:
 
     def __init__(self, limit_ns: int, left_over_ns: int = LEFT_OVER_NS) -> None:
         self._limit_ns, self._least_ns = limit_ns, left_over_ns
-        self._looked_ns = self._stood_since_ns = self._left_over_until_ns = (
-            0  # 0: not yet
-        )
+        # 0: not yet
+        self._looked_ns = self._stood_since_ns = self._left_over_until_ns = 0
 
     def came_ns(self, now_ns: int) -> int:
         """Return when the data that is read now came in."""

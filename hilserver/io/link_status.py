@@ -32,9 +32,8 @@ class PeerStatus:
     endpoint: str = ""
     connected: bool = False  # a session exists and its heartbeat was answered
     state: LinkState = LinkState.STOPPED  # where the connection stands
-    mode: str = (
-        ""  # how values come in: ``subscribe``, ``poll``; empty while not connected
-    )
+    # how values come in: ``subscribe``, ``poll``; empty while not connected
+    mode: str = ""
     mode_reason: str = ""  # why this mode, in words
     stale: bool = True  # inputs are older than `stale_after_ms`, or none has come yet
     last_connect_ns: int | None = None  # CLOCK_MONOTONIC [ns] of the newest session

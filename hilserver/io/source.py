@@ -63,9 +63,8 @@ class Source:
         self._label, self._gate, self._publish = label, gate, publish
         self._on_stale, self._fresh = driver.on_stale, fresh
         self._arrivals, self._is_exact = Arrivals(self.staleness.limit_ns), is_exact
-        self._has_written = (
-            False  # if the first command lapsed at once, nothing could start
-        )
+        # if the first command lapsed at once, nothing could start
+        self._has_written = False
 
     def came_ns(self, now_ns: int) -> int:
         """Return when the data that is read now came in."""

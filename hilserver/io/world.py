@@ -15,7 +15,7 @@ from hilserver.core.parameters import LiveParameters
 from hilserver.faults import Faults, PeerLine
 from hilserver.image import Frame, ProcessImage
 from hilserver.io.link_status import PeerStatus
-from hilserver.metrics import Source
+from hilserver.metrics import MetricSource
 from hilserver.plant.parameters import RobotParameters
 from hilserver.ros.robot import Shape
 from hilserver.signals import SignalTable
@@ -30,7 +30,7 @@ class Part:
     is_early = False  # starts before the first tick
     # what is known about the other end; OPC UA, page and metrics show it
     status: PeerStatus | None = None
-    metrics: Sequence[Source[Any]] = ()  # in addition to those of every status
+    metrics: Sequence[MetricSource[Any]] = ()  # in addition to those of every status
 
     @property
     def address(self) -> str:
@@ -81,8 +81,7 @@ class World:
     description: Callable[[str], str]
     # value, status and planned start [ns] of a signal in the newest frame
     read_output: Callable[[str], tuple[Any, int, int]]
-    tables: Mapping[
-        str, Provider
-    ]  # figures besides signals: "slices", "peers" and "audit"
+    # figures besides signals: "slices", "peers" and "audit"
+    tables: Mapping[str, Provider]
     files: Any  # starts and stops what is named by a file
     tasks: Supervisor  # keeps the tasks of all links

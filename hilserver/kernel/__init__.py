@@ -4,12 +4,12 @@ This is the only room that knows both the plant's arrays and their places in the
 """
 
 from hilserver.kernel.build import compose, limit_silence, watch_communication
-from hilserver.kernel.composition import BlockUse, Composition, Part
+from hilserver.kernel.composition import BlockUse, Composition, RobotPart
 
 __all__ = [
     "BlockUse",
     "Composition",
-    "Part",
+    "RobotPart",
     "compose",
     "limit_silence",
     "watch_communication",

@@ -108,9 +108,8 @@ def _executed(name: str, source: str, blocks: Sequence[BlockUse]) -> ModuleType:
         else:
             for verb in ("step", "keep", "adopt"):
                 setattr(module, f"{verb}_{number}", getattr(block.foreign, verb))
-    sys.modules[name] = (
-        module  # numba looks the module up when it loads code from the cache
-    )
+    # numba looks the module up when it loads code from the cache
+    sys.modules[name] = module
     linecache.cache[path] = (len(source), None, source.splitlines(keepends=True), path)
     exec(compile(source, path, "exec"), vars(module))  # noqa: S102 - our own text
     return module

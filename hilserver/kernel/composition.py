@@ -13,14 +13,14 @@ from hilserver.image import changes
 from hilserver.image.layout import padded
 from hilserver.kernel.fitted import N_LIMITS, fitted_limits
 from hilserver.kernel.modifier_layout import REGIONS_FIXED, REGIONS_LIVE
-from hilserver.observer.layout import N_FILTER, Figures
+from hilserver.observer.layout import N_FILTER, FilterFigures
 from hilserver.plant import layout as robot
 from hilserver.plant.blocks import BlockDeclaration
 from hilserver.signals import SignalTable
 
 
 @dataclass(frozen=True)
-class Part:
+class RobotPart:
     """One of the robot's own parts (robot, imu, battery, shield, tof, nav) and its slice.
 
     With `of_body` it is a part of the mechatronic model: body, body_wheels, imu, tof, nav.
@@ -51,15 +51,13 @@ class News(NamedTuple):
 class Foreign(Protocol):
     """A foreign model that was started: compiled functions that call it, and what they need."""
 
-    step: Callable[
-        ..., int
-    ]  # ``(tick, dt_s, u, y, x, p, a) -> int``, a fault number or 0
+    # ``(tick, dt_s, u, y, x, p, a) -> int``, a fault number or 0
+    step: Callable[..., int]
     # ``(u, y, x, p, a)``: write the state to `x` before a snapshot; continue from `x` after one
     keep: Callable[..., None]
     adopt: Callable[..., None]
-    addresses: NDArray[
-        np.int64
-    ]  # `a` at the start, of this process; must outlive the step
+    # `a` at the start, of this process; must outlive the step
+    addresses: NDArray[np.int64]
     initial: NDArray[np.float64]  # `x` at the start
     key: str  # hash of the functions' sources
 
@@ -106,9 +104,8 @@ class BlockUse:
     inputs: Mapping[str, str]  # signal for each declared input
     # values that replace the declared defaults
     parameters: Mapping[str, float] = field(default_factory=dict)
-    model: ForeignModel | None = (
-        None  # model behind the block, if it is not a user's function
-    )
+    # model behind the block, if it is not a user's function
+    model: ForeignModel | None = None
     foreign: Foreign | None = None  # that model, started for this robot
     # signal that an output commands; a block with any is a controller
     drives: Mapping[str, str] = field(default_factory=dict)
@@ -141,9 +138,8 @@ class ObserverUse:
     """The observer, assigned to a slice."""
 
     source: str  # simulated or measured
-    constants: NDArray[
-        np.float64
-    ]  # `c` of its kernels, computed at the parameters `base`
+    # `c` of its kernels, computed at the parameters `base`
+    constants: NDArray[np.float64]
     base: robot.Parameters
     nav_ticks: int  # period of the simulated navigation's slice
     imu_ticks: int
@@ -151,7 +147,7 @@ class ObserverUse:
     def packed(self, now: robot.Parameters) -> NDArray[np.float64]:
         """Return the constants with their varied parameter sets moved to the parameters `now`."""
         c, n, base = self.constants.copy(), robot.Parameters.n_words, self.base.numbers
-        for first in range(Figures.n_words, c.size, n):
+        for first in range(FilterFigures.n_words, c.size, n):
             moved = c[first : first + n]
             by = np.where(moved == base, 0.0, moved) - np.where(
                 moved == base, 0.0, base
@@ -167,7 +163,7 @@ class Composition:
     table: SignalTable
     slices: Sequence[str]  # compiled slices in the order in which they run in a tick
     periods_s: Mapping[str, float]  # period of each slice [s]
-    parts: Sequence[Part]
+    parts: Sequence[RobotPart]
     blocks: Sequence[BlockUse]
     parameters: robot.Parameters
     state: robot.State

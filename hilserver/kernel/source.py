@@ -6,7 +6,7 @@ The called functions are in `phases`, `parts`, `fitted` and the blocks; here is 
 from collections.abc import Iterable, Sequence
 
 from hilserver.image.layout import Layout, Region
-from hilserver.kernel.composition import BlockUse, Composition, ObserverUse, Part
+from hilserver.kernel.composition import BlockUse, Composition, ObserverUse, RobotPart
 from hilserver.kernel.observer_parts import find_observer
 from hilserver.kernel.places import find_body, find_places
 
@@ -104,7 +104,7 @@ def step_source(composition: Composition, layout: Layout) -> str:
     return head + _text(lines) + phases + _text(f"    {line}" for line in body)
 
 
-def _part_call(part: Part, observer: ObserverUse | None) -> str:
+def _part_call(part: RobotPart, observer: ObserverUse | None) -> str:
     if part.name == OBSERVER and observer is not None:
         return f"observer_parts.{observer.source}(AT, OBSERVER, tick, values, words)"
     if part.of_body:

@@ -4,9 +4,9 @@ A recording by hilserver also carries its origin and the states from which it ca
 `Log.run` and `Log.states`.
 """
 
-from hilserver.logs.log import Log, State
+from hilserver.logs.log import Log, RecordedState
 from hilserver.logs.reading import read_log
 from hilserver.logs.writer import LogWriter, Segmented
 from hilserver.logs.writing import open_writer
 
-__all__ = ["Log", "LogWriter", "Segmented", "State", "open_writer", "read_log"]
+__all__ = ["Log", "LogWriter", "RecordedState", "Segmented", "open_writer", "read_log"]

@@ -22,9 +22,8 @@ from hilserver.logs.unpacking import PIECE_BYTES, ZSTD_MAGIC, Budget
 
 SUFFIXES = (".db3", ".mcap")
 PACKED = tuple(f"{suffix}.zstd" for suffix in SUFFIXES)
-STEPS_PER_BYTE: Final = (
-    10  # of sqlite's machine: more than any table of this size needs
-)
+# of sqlite's machine: more than any table of this size needs
+STEPS_PER_BYTE: Final = 10
 _BROKEN = (ValueError, KeyError, struct.error, EndOfFile, McapError, RuntimeError)
 _TORN = "the recorder did not close the file; its contents were read"
 

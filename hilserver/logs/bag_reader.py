@@ -9,7 +9,7 @@ from hilserver.errors import LogError
 from hilserver.logs import bag_topics as topics
 from hilserver.logs import changes as sparse
 from hilserver.logs.bag_messages import Bag, read_messages
-from hilserver.logs.log import Log, State
+from hilserver.logs.log import Log, RecordedState
 from hilserver.logs.mcap_reader import Contents, to_log
 from hilserver.logs.message import payload_dtype
 from hilserver.ros.types import Types
@@ -50,7 +50,9 @@ def read_own_bag(path: Path) -> Log:
     for data in _all(bags, topics.STATES):
         state = types.decode(data, topics.STATE_TYPE)
         words = np.array(state.words, dtype=np.int64)
-        contents.states.append(State(int(state.segment), int(state.tick), words))
+        contents.states.append(
+            RecordedState(int(state.segment), int(state.tick), words)
+        )
     for data in _all(bags, topics.CHANGES):
         contents.changes.append(
             sparse.from_text(types.decode(data, topics.RUN_TYPE).data)

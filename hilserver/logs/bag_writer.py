@@ -14,7 +14,7 @@ import numpy as np
 from hilserver.errors import FailedError
 from hilserver.logs import bag_topics as topics
 from hilserver.logs import changes as sparse
-from hilserver.logs.log import State
+from hilserver.logs.log import RecordedState
 from hilserver.logs.message import CDR_LITTLE_ENDIAN, make_layout
 from hilserver.logs.provenance import tag_ticks
 from hilserver.logs.writer import Segmented
@@ -124,7 +124,7 @@ class BagWriter:
         else:
             self._append(topic, self._newest_ns, data)
 
-    def add_state(self, state: State) -> None:
+    def add_state(self, state: RecordedState) -> None:
         """Append a state to replay from."""
         words = state.words.astype(np.int64)
         message = self._types.make(

@@ -16,7 +16,7 @@ from hilserver.logs.csv_fast import parse_clean
 from hilserver.logs.csv_layout import CsvLayout, read_layout
 from hilserver.logs.csv_times import COMMA, TEXTS
 from hilserver.logs.csv_writer import changes_path, meta_path
-from hilserver.logs.log import Change, Log, State
+from hilserver.logs.log import Change, Log, RecordedState
 from hilserver.logs.provenance import unpack_meta
 from hilserver.logs.table import (
     BLOCK,
@@ -344,7 +344,7 @@ def _number(table: Table, line: int, index: int, text: str) -> float:
         ) from None
 
 
-def _read_meta(path: Path) -> tuple[dict[str, Any] | None, list[State]]:
+def _read_meta(path: Path) -> tuple[dict[str, Any] | None, list[RecordedState]]:
     """Return the content of the file that accompanies the log; None for a foreign log."""
     meta = meta_path(path)
     if not meta.exists():

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from hilserver.logs import changes as sparse
-from hilserver.logs.log import State
+from hilserver.logs.log import RecordedState
 from hilserver.logs.provenance import pack_meta
 from hilserver.logs.writer import Segmented, WholeFile
 from hilserver.program.whole_file import whole
@@ -43,7 +43,7 @@ class CsvWriter:
             np.asarray(slots, dtype=np.intp),
         )
         self._period_s = int(run["base_period_ns"]) * 1e-9
-        self._states: list[State] = []
+        self._states: list[RecordedState] = []
         self._file = WholeFile(path)  # before the files next to it: it may be in use
         self._write_meta()
         changes_path(path).unlink(missing_ok=True)
@@ -73,7 +73,7 @@ class CsvWriter:
                 )
             self._make_as_open(changes_path(self._path))
 
-    def add_state(self, state: State) -> None:
+    def add_state(self, state: RecordedState) -> None:
         """Append a state to replay from."""
         self._states.append(state)
         self._write_meta()

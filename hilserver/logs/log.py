@@ -12,7 +12,7 @@ NS_PER_S = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class State:
+class RecordedState:
     """A state in the middle of a recording, from which it can be replayed."""
 
     # the state before this tick of this segment
@@ -39,9 +39,8 @@ class Log:
 
     path: Path
     t_s: NDArray[np.float64]  # shape (n,); time of each row [s]; rises within a segment
-    segment: NDArray[
-        np.int64
-    ]  # shape (n,); between two segments the robot's pose starts anew
+    # shape (n,); between two segments the robot's pose starts anew
+    segment: NDArray[np.int64]
     # shape (n,); signal name to values; NaN where there is no sample
     columns: Mapping[str, NDArray[np.float64]]
     block: NDArray[np.int64] | None = None  # shape (n,); unit of held-out splits
@@ -49,7 +48,7 @@ class Log:
     status: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
     # version, configuration, kernels ... of the run; None for a log that is not ours
     run: Mapping[str, Any] | None = None
-    states: Sequence[State] = ()
+    states: Sequence[RecordedState] = ()
     changes: Sequence[Change] = ()
     notices: Sequence[str] = ()  # what a reader should know: rows dropped, frames lost
 

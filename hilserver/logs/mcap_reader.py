@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from hilserver.errors import LogError
 from hilserver.logs import changes as sparse
-from hilserver.logs.log import Change, Log, State
+from hilserver.logs.log import Change, Log, RecordedState
 from hilserver.logs.mcap_writer import (
     CHANGES,
     CONFIG_ATTACHMENT,
@@ -53,7 +53,7 @@ class Contents:
     tables: list[NDArray[np.void]] = field(default_factory=list)
     run: dict[str, Any] = field(default_factory=dict)
     configuration: str | None = None
-    states: list[State] = field(default_factory=list)
+    states: list[RecordedState] = field(default_factory=list)
     changes: list[Change] = field(default_factory=list)
     ended: bool = False
 
@@ -78,7 +78,7 @@ class Contents:
         ):
             _, segment, tick = record.name.split("-")
             words = np.frombuffer(record.data, dtype="<i8").astype(np.int64)
-            self.states.append(State(int(segment), int(tick), words))
+            self.states.append(RecordedState(int(segment), int(tick), words))
 
     def _take_chunk(self, data: bytes) -> None:
         if data[9:11] == CHANGES.to_bytes(2, "little"):

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from hilserver import __version__
 from hilserver.logs import changes as sparse
-from hilserver.logs.log import Change, State
+from hilserver.logs.log import Change, RecordedState
 from hilserver.logs.message import (
     CDR_LITTLE_ENDIAN,
     SCHEMA_NAME,
@@ -127,7 +127,7 @@ class McapWriter:
         if self._pending_bytes >= CHUNK_BYTES:
             self.flush()
 
-    def add_state(self, state: State) -> None:
+    def add_state(self, state: RecordedState) -> None:
         """Append a state to replay from."""
         name = f"{STATE_ATTACHMENT}-{state.segment}-{state.tick}"
         self._attach(

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.errors import LogError
-from hilserver.logs.log import NS_PER_S, Log, State
+from hilserver.logs.log import NS_PER_S, Log, RecordedState
 from hilserver.logs.provenance import check_run, pack_meta, unpack_meta
 from hilserver.logs.rewriting import as_table, run_of, stamps
 from hilserver.logs.table import BLOCK, SEGMENT, TIME
@@ -87,7 +87,7 @@ def read_mf4(path: Path) -> Log:
     return _as_log(path, table, run, states)
 
 
-def _meta(mdf: "MDF") -> tuple[dict[str, Any] | None, list[State]]:
+def _meta(mdf: "MDF") -> tuple[dict[str, Any] | None, list[RecordedState]]:
     for index, attachment in enumerate(mdf.attachments):
         if attachment.file_name == META:
             return unpack_meta(mdf.extract_attachment(index)[0].decode())
@@ -112,7 +112,7 @@ def _as_log(
     path: Path,
     table: dict[str, NDArray[Any]],
     run: dict[str, Any] | None,
-    states: list[State],
+    states: list[RecordedState],
 ) -> Log:
     t_s, segment, block = table.pop(TIME), table.pop(SEGMENT), table.pop(BLOCK, None)
     names = [

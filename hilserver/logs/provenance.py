@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 from pydantic import BaseModel, Field, ValidationError
 
-from hilserver.logs.log import State
+from hilserver.logs.log import RecordedState
 
 SCHEMA = "hilserver.recording/1"
 _SECRET = re.compile(r"password|secret|token|passphrase|hash$", re.IGNORECASE)
@@ -75,7 +75,7 @@ def _without_secrets(node: Any) -> Any:
     return node
 
 
-def pack_meta(run: Mapping[str, Any], states: Sequence[State]) -> str:
+def pack_meta(run: Mapping[str, Any], states: Sequence[RecordedState]) -> str:
     """Return run and states as JSON, for formats that have no room for them."""
     entries = [
         {"segment": s.segment, "tick": s.tick, "zlib_base64": _pack_words(s)}
@@ -84,7 +84,7 @@ def pack_meta(run: Mapping[str, Any], states: Sequence[State]) -> str:
     return json.dumps({**run, "states": entries}, indent=1)
 
 
-def unpack_meta(text: str) -> tuple[dict[str, Any], list[State]]:
+def unpack_meta(text: str) -> tuple[dict[str, Any], list[RecordedState]]:
     """Return run and states from what `pack_meta` wrote.
 
     ValueError if the text is damaged or has another schema.
@@ -159,11 +159,11 @@ def check_run(run: Mapping[str, Any], names: Iterable[str] = ()) -> None:
             raise ValueError(f"is damaged: it does not list the signal {name!r:.60}")
 
 
-def _pack_words(state: State) -> str:
+def _pack_words(state: RecordedState) -> str:
     return base64.b64encode(zlib.compress(state.words.astype("<i8").tobytes())).decode()
 
 
-def _unpack_state(entry: Mapping[str, Any]) -> State:
+def _unpack_state(entry: Mapping[str, Any]) -> RecordedState:
     data = zlib.decompress(base64.b64decode(entry["zlib_base64"], validate=True))
     words = np.frombuffer(data, dtype="<i8").astype(np.int64)
-    return State(int(entry["segment"]), int(entry["tick"]), words)
+    return RecordedState(int(entry["segment"]), int(entry["tick"]), words)

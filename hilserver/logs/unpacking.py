@@ -12,13 +12,11 @@ from mcap.records import Chunk
 
 from hilserver.errors import LogError
 
-PIECE_BYTES: Final = (
-    1 << 28
-)  # of a chunk, a message, a blob; recorders write chunks of a few MB
+# of a chunk, a message, a blob; recorders write chunks of a few MB
+PIECE_BYTES: Final = 1 << 28
 FREE_BYTES: Final = 1 << 28
-KEPT_BYTES: Final = (
-    1 << 31
-)  # of messages in total; a diagnosis of eight hours at 100 Hz needs less
+# of messages in total; a diagnosis of eight hours at 100 Hz needs less
+KEPT_BYTES: Final = 1 << 31
 RATIO: Final = 1000
 """Beyond `FREE_BYTES`, largest size relative to the file; a robot at rest packs 350 to 1."""
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.image import FrameBatch
-from hilserver.logs.log import Change, State
+from hilserver.logs.log import Change, RecordedState
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ class LogWriter(Protocol):
     def write(self, batch: Segmented) -> None:
         """Append frames and changes."""
 
-    def add_state(self, state: State) -> None:
+    def add_state(self, state: RecordedState) -> None:
         """Append a state to replay from."""
 
     def tell(self, run: Mapping[str, Any]) -> None:

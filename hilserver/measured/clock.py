@@ -18,7 +18,8 @@ class Segments:
     # shape (m,)
     start_s: Array
     end_s: Array
-    first: Indices  # shape (m + 1,); first row of each segment in the dense arrays, and the end
+    # shape (m + 1,); first row of each segment in the dense arrays, and the end
+    first: Indices
     period_s: float  # time between rows
     # the dense arrays begin this long before the segment: what comes late began then
     lead_s: float = 0.0

@@ -11,7 +11,7 @@ DIMENSIONS = {"wheel_radius_m", "track_m", "wheelbase_m"}
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class LogSource:
     """One file of the data."""
 
     file: str
@@ -55,7 +55,7 @@ class Channel:
 class MeasuredLog:
     """Measured data of one machine, from one log or several."""
 
-    sources: tuple[Source, ...]
+    sources: tuple[LogSource, ...]
     # by signal name of the signal table (``nav.x_m``; without ``measured.``). Wheels have the
     # plant's signs: driving forward is left > 0, right < 0
     channels: Mapping[str, Channel]
@@ -63,9 +63,8 @@ class MeasuredLog:
     has_stamps: bool = True  # False: times were made from a rate; delays are not judged
     # keys of the plant configuration that the mapping file sets
     plant: Mapping[str, object] = field(default_factory=dict)
-    notices: tuple[
-        str, ...
-    ] = ()  # what a reader should know: rows dropped, the file ends early
+    # what a reader should know: rows dropped, the file ends early
+    notices: tuple[str, ...] = ()
     # True: the daemon wrote the rows. All stamps are ticks of its plant, and a set-point that first
     # appears in a row came at one of the ticks since the row before
     on_ticks: bool = False

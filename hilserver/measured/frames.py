@@ -25,9 +25,8 @@ COMMAND: Final = "internal.command"
 POSE_REQUEST: Final = "internal.pose_request"
 SECTIONS: Final = ("scheduler", "sensors", "plant")
 RARE: Final = 0.05  # share of the samples
-GAP_STEPS: Final = (
-    1.5  # times the usual time between samples; from there one is missing
-)
+# times the usual time between samples; from there one is missing
+GAP_STEPS: Final = 1.5
 OLDEST_S: Final = 1.0  # a stamp that makes a sample older than this is wrong
 
 
@@ -81,7 +80,8 @@ class _Taken(NamedTuple):
     """When the source of a measured group took its samples."""
 
     fresh: Mask  # shape (n,); rows with a new one
-    follows: Mask  # shape (n,); not after a gap, in which the commands to the robot are unknown
+    # shape (n,); not after a gap, in which the commands to the robot are unknown
+    follows: Mask
     age_s: Array  # shape (n,)
 
 

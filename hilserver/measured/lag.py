@@ -46,9 +46,8 @@ class Lag:
     # of the log
     middle_s: float
     length_s: float
-    least_s: float = (
-        CLOCK_LEAST_S  # a smaller offset is a latency, or hidden by slow samples
-    )
+    # a smaller offset is a latency, or hidden by slow samples
+    least_s: float = CLOCK_LEAST_S
 
     @property
     def is_early(self) -> bool:

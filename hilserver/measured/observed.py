@@ -8,7 +8,7 @@ from hilserver.measured.channels import GYRO as GYRO_CHANNEL
 from hilserver.measured.channels import POSITION as PLACE
 from hilserver.measured.channels import SPEEDS, YAW
 from hilserver.measured.data import MeasuredLog
-from hilserver.observer.offline import GYRO, HEADING, POSITION, Series
+from hilserver.observer.offline import GYRO, HEADING, POSITION, MeasuredSeries
 from hilserver.plant.layout import LEFT_WHEELS
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.terms import TERMS
@@ -19,7 +19,7 @@ N_LEFT = len(LEFT_WHEELS)
 
 def series_of(
     log: MeasuredLog, span: int, robot: RobotParameters, nav_late_s: float = 0.0
-) -> Series:
+) -> MeasuredSeries:
     """Return one span of a log.
 
     A moment is a stamp at which every measured wheel has a sample.
@@ -61,7 +61,9 @@ def series_of(
         [[0.0], np.cumsum(0.5 * np.diff(times) * (left[1:] + left[:-1]))]
     )
     samples = _samples(log, span, robot, nav_late_s)
-    return Series(np.column_stack([times, left, right, turned, *apart]), samples)
+    return MeasuredSeries(
+        np.column_stack([times, left, right, turned, *apart]), samples
+    )
 
 
 def _samples(

@@ -175,9 +175,8 @@ class ForeignLog(LogError):
 
     def __init__(self, message: str, proposal: str) -> None:
         super().__init__(message)
-        self.proposal = (
-            proposal  # text of a mapping file that may fit; empty without a guess
-        )
+        # text of a mapping file that may fit; empty without a guess
+        self.proposal = proposal
 
 
 class Head(NamedTuple):

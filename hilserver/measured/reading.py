@@ -14,7 +14,7 @@ from hilserver.logs.reading import is_bag_of_ros, refuse_others
 from hilserver.measured.bag import is_bag, read_bag
 from hilserver.measured.bag_proposal import refuse_unmapped
 from hilserver.measured.channels import DEMANDS, DUTY_COMMANDS, MODE, SETPOINTS, TWIST
-from hilserver.measured.data import Channel, MeasuredLog, Source, Span
+from hilserver.measured.data import Channel, LogSource, MeasuredLog, Span
 from hilserver.measured.frames import Sampling
 from hilserver.measured.mapping import LogMapping, load_mapping
 from hilserver.measured.odometry import with_wheels
@@ -63,7 +63,7 @@ def read_measured(
     recordings = [_read(path, table, sampling) for path in paths]
     if not recordings:
         raise LogError("no log given; name at least one")
-    sources = tuple(Source(_shown(path), _sha256(path)) for path in paths)
+    sources = tuple(LogSource(_shown(path), _sha256(path)) for path in paths)
     _refuse_others(paths, sources, recordings)
     log = MeasuredLog(
         sources=sources,
@@ -169,7 +169,7 @@ def _by_kind(
 
 
 def _refuse_others(
-    paths: Sequence[Path], sources: Sequence[Source], recordings: Sequence[Recording]
+    paths: Sequence[Path], sources: Sequence[LogSource], recordings: Sequence[Recording]
 ) -> None:
     """Refuse what cannot be pooled: the same log twice, and recordings of different machines."""
     for index, path in enumerate(paths):

@@ -46,7 +46,8 @@ Row = tuple[tuple[str, ...], float | MetricReading | None]
 class Metric(Generic[Figures]):
     """One metric."""
 
-    name: str  # ends in its unit, counters in ``_total``. A metric never changes its meaning
+    # ends in its unit, counters in ``_total``. A metric never changes its meaning
+    name: str
     help: str
     labels: tuple[str, ...]
     # yields rows from the figures of its source; a counter's or histogram's value is a `Reading`.
@@ -71,7 +72,7 @@ class Metric(Generic[Figures]):
 
 
 @dataclass(frozen=True, slots=True)
-class Source(Generic[Figures]):
+class MetricSource(Generic[Figures]):
     """Metrics and the figures they are read from."""
 
     metrics: Sequence[Metric[Figures]]

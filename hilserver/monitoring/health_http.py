@@ -46,9 +46,8 @@ class HealthSources:
     heartbeat_ns: Callable[[], int]
     # True once the first ticks after the warm-up met their deadlines
     first_ticks_met: Callable[[], bool]
-    tasks_down: Callable[[], str] = lambda: (
-        ""
-    )  # which task does not run although it should
+    # which task does not run although it should
+    tasks_down: Callable[[], str] = lambda: ""
     heartbeat_limit_s: float = 1.0  # a pacing back end silent for longer [s] is dead
 
 
@@ -205,9 +204,8 @@ class HttpServer:
     async def _serve(
         self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
     ) -> None:
-        writer.transport.set_write_buffer_limits(
-            high=0
-        )  # so that drain waits for the last byte
+        # so that drain waits for the last byte
+        writer.transport.set_write_buffer_limits(high=0)
         try:
             answer = await self._answer(reader)
             async with time_limit(self._timeout_s):

@@ -43,9 +43,8 @@ _OFTEN = {
 }
 TEXT_LENGTH_MAX = 2000
 EXPECTED_ERRORS = (UserError, OSError, TimeoutError, EOFError, asyncio.CancelledError)
-TRACING_LIBRARY = (
-    "asyncua"  # logs a traceback whenever a client disconnects in mid-answer
-)
+# logs a traceback whenever a client disconnects in mid-answer
+TRACING_LIBRARY = "asyncua"
 LIBRARIES = ("asyncua", "asyncio")  # their INFO lines do not help a user of the robot
 _NUMBERS = re.compile(r"0x[0-9a-fA-F]+|[-+]?\d+(?:\.\d+)?")
 

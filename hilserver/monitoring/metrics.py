@@ -29,7 +29,7 @@ from prometheus_client.metrics_core import Metric as Family
 from prometheus_client.registry import Collector
 
 from hilserver.compiled.histogram import BOUNDS_NS
-from hilserver.metrics import Metric, MetricKind, MetricReading, Row, Source
+from hilserver.metrics import Metric, MetricKind, MetricReading, MetricSource, Row
 
 Counts = NDArray[np.int64]
 
@@ -88,7 +88,7 @@ _BOUNDS_TEXT = [str(bound_ns / 1e9) for bound_ns in BOUNDS_NS]
 class Metrics:
     """Registry of one daemon: metrics of the rooms, and process metrics of the client library."""
 
-    def __init__(self, *sources: Source[Any]) -> None:
+    def __init__(self, *sources: MetricSource[Any]) -> None:
         self.registry = CollectorRegistry(auto_describe=False)
         self._collector = _HilCollector(sources)
         self.registry.register(self._collector)
@@ -118,7 +118,7 @@ _Key = tuple[str, tuple[str, ...]]
 class _HilCollector(Collector):
     """Yields one family per metric."""
 
-    def __init__(self, sources: tuple[Source[Any], ...]) -> None:
+    def __init__(self, sources: tuple[MetricSource[Any], ...]) -> None:
         self.totals = LifetimeTotals()
         self._sources = sources
 

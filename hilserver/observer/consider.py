@@ -7,7 +7,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.observer.layout import MOST_DIRECTIONS, N_FIGURES, N_PARAMETERS, Figures
+from hilserver.observer.layout import (
+    MOST_DIRECTIONS,
+    N_FIGURES,
+    N_PARAMETERS,
+    FilterFigures,
+)
 from hilserver.plant.errors import PlantError
 from hilserver.plant.layout import Parameters
 from hilserver.plant.packing import pack
@@ -17,9 +22,8 @@ from hilserver.plant.terms import TERMS
 BLOCKS: Final = ("kinematics", "navigation", "inertial")
 ENCODERS: Final = ("encoder_scale.a", "encoder_scale.wheel")
 """Terms that the observer takes into account: those of these blocks, and of the encoders."""
-LEAST_SHARE: Final = (
-    1e-6  # share of the largest variance below which a direction is left out
-)
+# share of the largest variance below which a direction is left out
+LEAST_SHARE: Final = 1e-6
 
 
 def _is_seen(name: str) -> bool:
@@ -116,11 +120,13 @@ def _moved(robot: RobotParameters, by: Mapping[str, float]) -> Parameters:
     raise PlantError(f"the parameter uncertainty does not match the robot: {last}")
 
 
-def constants(figures: Figures, moved: Sequence[Parameters]) -> NDArray[np.float64]:
+def constants(
+    figures: FilterFigures, moved: Sequence[Parameters]
+) -> NDArray[np.float64]:
     """Return the array `c` of the filter's kernels."""
     c = np.zeros(N_FIGURES + len(moved) * N_PARAMETERS)
     c[:N_FIGURES] = figures.numbers
-    known = Figures.of(c)
+    known = FilterFigures.of(c)
     known.directions = len(moved)
     known.considered = len(moved) + (known.instant_sd > 0.0)
     for j, other in enumerate(moved):

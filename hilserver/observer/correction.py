@@ -22,7 +22,7 @@ from hilserver.observer.layout import (
     SILENT_S,
     SLIP,
     YAW,
-    Figures,
+    FilterFigures,
     Head,
     Moment,
     X,
@@ -57,10 +57,8 @@ ONE_OF, WIDE = 100.0, 10.0
 N_NEARER = 3  # steps towards a heading that is not known
 _UNLIKELY, _TINY = 1e-300, 1e-12
 WHOLE = 1.0  # largest variance of slip and rotation gain: all of the motion
-UNKNOWN_M2, UNKNOWN_RAD2 = (
-    1e6,
-    1e2,
-)  # variances of an unknown place and an unknown heading
+# variances of an unknown place and an unknown heading
+UNKNOWN_M2, UNKNOWN_RAD2 = 1e6, 1e2
 
 
 @part
@@ -316,7 +314,7 @@ def take_position(p: Parameters, c: Any, h: Head, m: Moment, is_new: bool) -> No
 
 
 @inlined
-def begin(c: Figures, m: Moment) -> None:
+def begin(c: FilterFigures, m: Moment) -> None:
     """Begin with an unknown pose and, for the rest, the variances of the figures."""
     for i in range(N_ESTIMATED):
         m.estimate[i] = 0.0

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from hilserver.observer.layout import Figures
+from hilserver.observer.layout import FilterFigures
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.terms import TERMS
@@ -20,9 +20,8 @@ WANDER_S: Final = 60.0
 INSTANT_SD: Final = 1.0 / math.sqrt(24.0)
 """Share of a step by which all jumps of the wheels are early or late together: half the variance of
 an unknown instant, see `motion.BEND`."""
-READMIT_AFTER: Final = (
-    10  # consecutive refused samples until the robot counts as carried
-)
+# consecutive refused samples until the robot counts as carried
+READMIT_AFTER: Final = 10
 OF_SPEED: Final = (
     "wheel_radius",
     "traction_slip",
@@ -41,12 +40,11 @@ _LEAST_RAD: Final = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
-class Noise:
+class MeasuredNoise:
     """Noise of a channel, in its unit."""
 
-    white: float = (
-        0.0  # standard deviation of the part that is independent in every sample
-    )
+    # standard deviation of the part that is independent in every sample
+    white: float = 0.0
     slow: float = 0.0  # of the part that is correlated in time, over `tau_s`
     tau_s: float = 1.0
     step: float = 0.0  # resolution: readings are multiples of it; 0: not rounded
@@ -62,21 +60,21 @@ class Noise:
         return 2.0 * self.slow * self.slow * self.tau_s
 
 
-def configured(robot: RobotParameters) -> dict[str, Noise]:
+def configured(robot: RobotParameters) -> dict[str, MeasuredNoise]:
     """Return the noise of the configured sensors by channel."""
     nav, terms = robot.nav, robot.terms
-    place = Noise(nav.white_noise_m, nav.correlated_noise_m, nav.correlation_s)
-    speed = Noise(step=terms.get("encoder_quantization") or 0.0)
+    place = MeasuredNoise(nav.white_noise_m, nav.correlated_noise_m, nav.correlation_s)
+    speed = MeasuredNoise(step=terms.get("encoder_quantization") or 0.0)
     return {
         **{f"wheel.{wheel}.speed_rpm": speed for wheel in WHEELS},
-        "imu.gyro_z_rad_s": Noise(robot.imu.gyro_noise_rad_s),
+        "imu.gyro_z_rad_s": MeasuredNoise(robot.imu.gyro_noise_rad_s),
         "nav.x_m": place,
         "nav.y_m": place,
-        "nav.yaw_rad": Noise(0.0, nav.yaw_noise_rad, nav.yaw_correlation_s),
+        "nav.yaw_rad": MeasuredNoise(0.0, nav.yaw_noise_rad, nav.yaw_correlation_s),
     }
 
 
-def _mean(*found: Noise) -> Noise:
+def _mean(*found: MeasuredNoise) -> MeasuredNoise:
     """Return the noise whose variance is the mean of several."""
     n = len(found)
 
@@ -85,7 +83,7 @@ def _mean(*found: Noise) -> Noise:
 
     slow = rms([one.slow for one in found])
     tau = sum(one.slow * one.slow * one.tau_s for one in found)
-    return Noise(
+    return MeasuredNoise(
         rms([one.white for one in found]),
         slow,
         tau / (n * slow * slow) if slow > 0.0 else 1.0,
@@ -95,12 +93,12 @@ def _mean(*found: Noise) -> Noise:
 
 def figures(
     robot: RobotParameters,
-    noise: Mapping[str, Noise],
+    noise: Mapping[str, MeasuredNoise],
     *,
     unknown: Mapping[str, float] | None = None,
     wanders: bool = False,
     readmit_after: int = READMIT_AFTER,
-) -> Figures:
+) -> FilterFigures:
     """Return the figures of the filter.
 
     Parameters
@@ -115,7 +113,7 @@ def figures(
         one that drifts may be as large as without a diagnosis.
     """
     shown = configured(robot) | dict(noise)
-    c = Figures.zeros()
+    c = FilterFigures.zeros()
     c.nav_period, c.imu_period = robot.nav.period_s, robot.imu.period_s
     c.readmit_after, c.instant_sd = readmit_after, INSTANT_SD
     wheels = _mean(*(shown[f"wheel.{wheel}.speed_rpm"] for wheel in WHEELS))
@@ -133,7 +131,7 @@ def figures(
 
 
 def _leave_unknown(
-    c: Figures,
+    c: FilterFigures,
     robot: RobotParameters,
     unknown: Mapping[str, float] | None,
     *,

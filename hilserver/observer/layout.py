@@ -1,6 +1,6 @@
 """The layout of the observer's numbers: its constants `c`, and all that its future depends on.
 
-`c` is `Figures`, followed by one `plant.layout.Parameters` for each direction in which the
+`c` is `FilterFigures`, followed by one `plant.layout.Parameters` for each direction in which the
 parameters are uncertain. The filter's own numbers are a `Head`, followed by a ring of `Moment`s in
 which the newest replaces the oldest; a copy is a snapshot.
 """
@@ -36,7 +36,7 @@ Pair = Annotated[NDArray[np.float64], 2]
 Cross = Annotated[NDArray[np.float64], (N_ESTIMATED, CONSIDERED)]
 
 
-class Figures(Record):
+class FilterFigures(Record):
     """How noisy the sensors are, and how uncertain the states are at the start."""
 
     directions: float  # of uncertain parameters in use
@@ -44,13 +44,11 @@ class Figures(Record):
     instant_sd: float  # see `figures.INSTANT_SD`
     nav_period: float  # [s] of the slice in which its latency is counted
     imu_period: float  # [s]
-    readmit_after: (
-        float  # consecutive refused samples until the robot counts as carried
-    )
+    # consecutive refused samples until the robot counts as carried
+    readmit_after: float
     wheel_sd: float  # [rad/s] of the mean speed of a side, one sample
-    wheel_drift: (
-        float  # [rad2/s]: the part correlated in time, as variance of the angle per s
-    )
+    # [rad2/s]: the part correlated in time, as variance of the angle per s
+    wheel_drift: float
     gyro_sd: float  # [rad/s]
     gyro_drift: float  # [rad2/s]
     position_sd: float  # [m] of one sample
@@ -84,15 +82,13 @@ class Head(Record):
     restarts: float  # restarts because a number was no longer finite
     seen_gyro: float  # counter of its last sample
     seen_position: float
-    rows: Annotated[
-        NDArray[np.float64], (2, N_ESTIMATED)
-    ]  # derivatives of a sensor by state
+    # derivatives of a sensor by state
+    rows: Annotated[NDArray[np.float64], (2, N_ESTIMATED)]
     shared: Annotated[NDArray[np.float64], (2, CONSIDERED)]  # and by direction
     weight: Vector  # covariance of the state with one reading
     weight_shared: Directions
-    noise: Annotated[
-        NDArray[np.float64], (5, N_ESTIMATED)
-    ]  # effect of the wheels' noise on a step
+    # effect of the wheels' noise on a step
+    noise: Annotated[NDArray[np.float64], (5, N_ESTIMATED)]
     push: Cross  # effect of each direction on a step
 
 
@@ -160,11 +156,11 @@ class ShownStatus(Shown, word=np.int64):
     """The OPC UA status code of each."""
 
 
-FIGURES: Final = Figures.layout
+FIGURES: Final = FilterFigures.layout
 HEAD: Final = Head.layout
 MOMENT: Final = Moment.layout
 SHOWN: Final = Shown.layout
-N_FIGURES: Final = Figures.n_words
+N_FIGURES: Final = FilterFigures.n_words
 N_PARAMETERS: Final = Parameters.n_words
 N_HEAD: Final = Head.n_words
 N_MOMENT: Final = Moment.n_words

@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 
 from hilserver.observer.figures import WANDER_S
-from hilserver.observer.layout import FIGURES, N_FIGURES, Figures
-from hilserver.observer.offline import GYRO, Array, Series, misfit
+from hilserver.observer.layout import FIGURES, N_FIGURES, FilterFigures
+from hilserver.observer.offline import GYRO, Array, MeasuredSeries, misfit
 from hilserver.plant.layout import Parameters
 
 OF_NAVIGATION: Final = ("position_sd", "position_ou", "yaw_sd", "yaw_ou")
@@ -36,7 +36,7 @@ MOST_SWEEPS: Final = 6  # over all figures, with one factor
 MOST_MOMENTS: Final = 20_000  # of a log, from the beginning: a few seconds
 
 
-def fitted(p: Parameters, c: Array, log: Sequence[Series]) -> Array:
+def fitted(p: Parameters, c: Array, log: Sequence[MeasuredSeries]) -> Array:
     """Return the constants of the filter with the noise under which a log was most likely.
 
     Parameters
@@ -72,20 +72,20 @@ def fitted(p: Parameters, c: Array, log: Sequence[Series]) -> Array:
     return best
 
 
-def _beginning(log: Sequence[Series]) -> list[Series]:
+def _beginning(log: Sequence[MeasuredSeries]) -> list[MeasuredSeries]:
     pieces, left = [], MOST_MOMENTS
     for one in log:
         wheels = one.wheels[:left]
         if len(wheels) > 1:
             until = int(np.searchsorted(one.samples[:, 1], wheels[-1, 0], "right"))
-            pieces.append(Series(wheels, one.samples[:until]))
+            pieces.append(MeasuredSeries(wheels, one.samples[:until]))
         left -= len(wheels)
     return pieces
 
 
 def sd_of(c: Array, name: str) -> float:
     """Return a figure as a standard deviation."""
-    value = float(Figures.of(c[:N_FIGURES])[name])
+    value = float(FilterFigures.of(c[:N_FIGURES])[name])
     return math.sqrt(value) if name.startswith("roam") else value
 
 
@@ -95,7 +95,7 @@ def _with(c: Array, name: str, factor: float) -> Array | None:
     if not LEAST <= sd <= MOST:
         return None
     changed = c.copy()
-    figures = Figures.of(changed[:N_FIGURES])
+    figures = FilterFigures.of(changed[:N_FIGURES])
     figures[name] = sd * sd if name.startswith("roam") else sd
     if name in DRIFTS:
         figures[DRIFTS[name]] = sd * sd / WANDER_S
@@ -105,7 +105,7 @@ def _with(c: Array, name: str, factor: float) -> Array | None:
 def inflated(c: Array, by: float) -> Array:
     """Return the constants with all variances larger by a factor."""
     changed = c.copy()
-    figures, root = Figures.of(changed[:N_FIGURES]), math.sqrt(by)
+    figures, root = FilterFigures.of(changed[:N_FIGURES]), math.sqrt(by)
     for name in FIGURES.names or ():
         if name.endswith(("_sd", "_ou")) and name != "instant_sd":
             figures[name] *= root

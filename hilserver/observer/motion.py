@@ -22,7 +22,7 @@ from hilserver.observer.layout import (
     OU_YAW,
     SLIP,
     YAW,
-    Figures,
+    FilterFigures,
     Head,
     Moment,
     V,
@@ -144,7 +144,9 @@ def shift_by(
 
 
 @part
-def move_on(p: Parameters, c: Figures, before: Moment, now: Moment, out: Any) -> None:
+def move_on(
+    p: Parameters, c: FilterFigures, before: Moment, now: Moment, out: Any
+) -> None:
     """Write the state predicted from the moment before to `out`, shape (N_ESTIMATED,)."""
     x, dt = before.estimate, now.time - before.time
     v_wheels, om_wheels = wheel_velocity(p, before, now)
@@ -186,7 +188,7 @@ def _transform(m: Any, k: int, n: int, f: Any) -> None:
 
 
 @part
-def transition(p: Parameters, c: Figures, before: Moment, now: Moment) -> Any:
+def transition(p: Parameters, c: FilterFigures, before: Moment, now: Moment) -> Any:
     """Return the entries of F = d `move_on` / d state that are not 0 or 1, then those of the means.
 
     Returns
@@ -219,7 +221,7 @@ def transition(p: Parameters, c: Figures, before: Moment, now: Moment) -> Any:
 
 @inlined
 def _wheel_noise(
-    p: Parameters, c: Figures, before: Moment, now: Moment, f: Any, h: Head
+    p: Parameters, c: FilterFigures, before: Moment, now: Moment, f: Any, h: Head
 ) -> None:
     """Write the effect of one standard deviation of the wheels' noise on the step.
 
@@ -270,7 +272,7 @@ def _pushes(c: Any, before: Moment, now: Moment, h: Head) -> None:
 
 
 @inlined
-def _push_instant(c: Figures, before: Moment, now: Moment, h: Head) -> None:
+def _push_instant(c: FilterFigures, before: Moment, now: Moment, h: Head) -> None:
     """Write the effect of one deviation of the wheels' instant: the pose of a little later."""
     j, late = int(c.directions), c.instant_sd * (now.time - before.time)
     dv = late * (now.estimate[V] - before.estimate[V])
@@ -284,7 +286,7 @@ def _push_instant(c: Figures, before: Moment, now: Moment, h: Head) -> None:
 
 
 @inlined
-def _add_noise(c: Figures, dt: float, way: float, h: Head, m: Any) -> None:
+def _add_noise(c: FilterFigures, dt: float, way: float, h: Head, m: Any) -> None:
     """Add the covariance of a step's noise to `m`, shape (N_ESTIMATED, N_ESTIMATED)."""
     for k in range(h.noise.shape[0]):
         row = h.noise[k]
@@ -313,7 +315,7 @@ def predict(p: Parameters, c: Any, h: Head, before: Moment, now: Moment) -> None
     Parameters
     ----------
     c : ndarray
-        `Figures`, followed by the parameters at one deviation of each direction.
+        `FilterFigures`, followed by the parameters at one deviation of each direction.
     before, now : Moment
         `now` has its time and wheel speeds; estimate and covariance are written.
     """

@@ -26,7 +26,7 @@ GYRO, POSITION, HEADING = range(3)  # kinds of rows of the samples
 
 
 @dataclass(frozen=True)
-class Series:
+class MeasuredSeries:
     """Measurements of one stretch, on one clock."""
 
     # shape (n, 6); time [s], mean speeds of the left and the right encoders [rad/s], angle
@@ -38,7 +38,7 @@ class Series:
 
 
 @dataclass(frozen=True)
-class Course:
+class EstimatedCourse:
     """The estimate at each moment."""
 
     t_s: Array  # shape (n,)
@@ -103,13 +103,13 @@ def _run(
         carried[k] = now.carried
 
 
-def misfit(p: Parameters, c: Array, series: Series) -> float:
+def misfit(p: Parameters, c: Array, series: MeasuredSeries) -> float:
     """Return minus twice the log-likelihood of the samples, each predicted from those before."""
     f = np.zeros(N_FILTER)
     return float(_misfit(p.numbers, c, f, series.wheels, series.samples))
 
 
-def run(p: Parameters, c: Array, series: Series) -> Course:
+def run(p: Parameters, c: Array, series: MeasuredSeries) -> EstimatedCourse:
     """Run the filter over a stretch.
 
     Parameters
@@ -122,4 +122,4 @@ def run(p: Parameters, c: Array, series: Series) -> Course:
     shown, nis, carried = np.zeros(n * N_SHOWN), np.zeros((n, 2)), np.zeros(n)
     _run(p.numbers, c, f, series.wheels, series.samples, x, m, shown, nis, carried)
     head, signals = Head.of(f), shown.reshape(n, N_SHOWN)
-    return Course(series.wheels[:, 0], signals, x, m, nis, carried, head)
+    return EstimatedCourse(series.wheels[:, 0], signals, x, m, nis, carried, head)

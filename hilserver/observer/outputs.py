@@ -19,7 +19,7 @@ from hilserver.observer.layout import (
     SILENT_S,
     TRACKING,
     YAW,
-    Figures,
+    FilterFigures,
     Moment,
     Shown,
     V,
@@ -33,7 +33,7 @@ BETTER = 0.9
 
 
 @inlined
-def _state(c: Figures, m: Moment) -> int:
+def _state(c: FilterFigures, m: Moment) -> int:
     """Return whether a pose is known, and from what.
 
     The state is CONVERGING until the pose is known better than by one sample of the navigation.

@@ -23,7 +23,7 @@ from hilserver.observer.layout import (
     OU_YAW,
     SLIP,
     YAW,
-    Figures,
+    FilterFigures,
     Head,
     Moment,
     V,
@@ -31,7 +31,7 @@ from hilserver.observer.layout import (
     Y,
 )
 from hilserver.observer.motion import bend, predict, transition
-from hilserver.observer.offline import Array, Course, Series
+from hilserver.observer.offline import Array, EstimatedCourse, MeasuredSeries
 from hilserver.plant.layout import PARAMETERS, Parameters
 
 _REGULAR = 1e-14
@@ -76,7 +76,11 @@ def _dense(f: tuple[float, ...]) -> Array:
 
 
 def smooth(
-    p: Parameters, c: Array, series: Series, course: Course, first: int = 0
+    p: Parameters,
+    c: Array,
+    series: MeasuredSeries,
+    course: EstimatedCourse,
+    first: int = 0,
 ) -> tuple[Array, Array]:
     """Return estimates and covariances that use all samples, from moment `first` on.
 
@@ -92,7 +96,7 @@ def smooth(
     """
     x, m = course.estimate.copy(), course.covariance.copy()
     a, b, h, sure = Moment.zeros(), Moment.zeros(), Head.zeros(), c[:N_FIGURES].copy()
-    Figures.of(sure).directions = Figures.of(sure).considered = 0.0
+    FilterFigures.of(sure).directions = FilterFigures.of(sure).considered = 0.0
     for k in range(len(x) - 2, first - 1, -1):
         if course.carried[k + 1]:
             continue  # what came after says nothing about where the robot was before

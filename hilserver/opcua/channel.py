@@ -57,12 +57,10 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
         self.set_policy_factories(list(policies))
         # the channel is not protected, and the server does not offer that for sessions
         self.is_discovery_only = False
-        self.max_bytes = (
-            MAX_BYTES_BEFORE_LOGIN  # longest request accepted at this point
-        )
-        self.max_response_bytes = (
-            0  # longest response that the client accepts, 0 for any
-        )
+        # longest request accepted at this point
+        self.max_bytes = MAX_BYTES_BEFORE_LOGIN
+        # longest response that the client accepts, 0 for any
+        self.max_response_bytes = 0
         self._expiring = (0, 0.0)
         self._trust = trust
         self._peer = peer

@@ -24,7 +24,8 @@ class ChangeFilter:
     """Which part of a value must change, and by how much."""
 
     trigger: ua.DataChangeTrigger = _STATUS_VALUE
-    band: float = 0.0  # changes up to this, in the variable's unit, are not reported; 0 reports any
+    # changes up to this, in the variable's unit, are not reported; 0 reports any
+    band: float = 0.0
 
     def is_worth_reporting(
         self, last: FixedDataValue | None, new: FixedDataValue

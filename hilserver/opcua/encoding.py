@@ -29,12 +29,8 @@ _SCALARS = {
     }.items()
 }
 _HAS_VALUE, _HAS_STATUS, _HAS_SOURCE, _HAS_SERVER = 1, 2, 4, 8
-_MASKS = (
-    _HAS_SOURCE,
-    _HAS_SERVER,
-    _HAS_SOURCE | _HAS_SERVER,
-    0,
-)  # by number of TimestampsToReturn
+# by number of TimestampsToReturn
+_MASKS = (_HAS_SOURCE, _HAS_SERVER, _HAS_SOURCE | _HAS_SERVER, 0)
 _U32, _I32 = struct.Struct("<I"), struct.Struct("<i")
 _RESPONSE = struct.Struct("<4sqIIBi3s")
 _REQUEST = struct.Struct("<qIIiI3s")

@@ -37,9 +37,8 @@ class InnerServer(QuickInternalServer):
         self.disabled_clock = True  # asyncua's task, which nothing would begin again
         self.settings, self.trust = settings, trust
         self.access = access = Access(settings)
-        self.application = Application(
-            self, access
-        )  # may be replaced before the first client
+        # may be replaced before the first client
+        self.application = Application(self, access)
         self._places = SessionPlaces(
             settings.max_sessions,
             lambda user: self.application.has_reserve(user),  # noqa: PLW0108 - it may be replaced

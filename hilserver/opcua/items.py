@@ -14,9 +14,8 @@ from hilserver.opcua.encoding import DATA_CHANGE, EVENTS, FixedDataValue
 
 HANDLE = struct.Struct("<I")
 _NULL = ua.Variant()
-_OVERFLOW = (
-    0x480  # InfoType DataValue and Overflow of a status code (OPC 10000-4, 7.39.1)
-)
+# InfoType DataValue and Overflow of a status code (OPC 10000-4, 7.39.1)
+_OVERFLOW = 0x480
 
 
 @dataclass

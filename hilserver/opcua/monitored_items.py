@@ -184,7 +184,8 @@ class MonitoredItems:
         self.ready.pop(item_id, None)
         self._rearrange()
         if _Modes.Disabled in (was, mode):
-            item.forget()  # also when switched on: sampling under way may have taken a value
+            # also when switched on: sampling under way may have taken a value
+            item.forget()
         if isinstance(item, ValueItem) and was == _Modes.Disabled != mode:
             self._look_at([item], time.monotonic())
         else:

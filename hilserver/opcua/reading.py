@@ -76,9 +76,8 @@ def parse_range(text: str | None) -> slice | None:
             raise ServiceError(_Codes.BadIndexRangeInvalid)
         bounds.append((int(found[1]), int(found[2] or found[1])))
     if len(bounds) > 1:
-        raise ServiceError(
-            _Codes.BadIndexRangeNoData
-        )  # nothing here has two dimensions
+        # nothing here has two dimensions
+        raise ServiceError(_Codes.BadIndexRangeNoData)
     low, high = bounds[0]
     return slice(low, high + 1)
 

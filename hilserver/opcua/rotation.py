@@ -25,7 +25,7 @@ Portions = Generator[Any, Any, Any]
 """Work that yields wherever it may be interrupted; a yielded value is awaited."""
 
 
-class Job(Protocol):
+class TurnTaker(Protocol):
     """Something that needs turns."""
 
     # time its turns have taken, counted here; a new job starts at the level of the others [s]
@@ -56,8 +56,8 @@ class Rotation:
     """Gives turns to jobs: the one that has used least time is next."""
 
     def __init__(self) -> None:
-        self._queue: list[tuple[float, int, Job]] = []
-        self._waiting: dict[Job, int] = {}
+        self._queue: list[tuple[float, int, TurnTaker]] = []
+        self._waiting: dict[TurnTaker, int] = {}
         self._least_s = 0.0
         self._numbers = itertools.count()
         self._handle: asyncio.Handle | None = None
@@ -65,7 +65,7 @@ class Rotation:
     def __len__(self) -> int:
         return len(self._waiting)
 
-    def add(self, job: Job) -> None:
+    def add(self, job: TurnTaker) -> None:
         """Give a job turns until it has nothing more to do; no effect if it already waits."""
         if job in self._waiting:
             return
@@ -76,7 +76,7 @@ class Rotation:
         if self._handle is None:
             self._handle = asyncio.get_running_loop().call_soon(self._run)
 
-    def drop(self, job: Job) -> None:
+    def drop(self, job: TurnTaker) -> None:
         """Give a job no more turns."""
         self._waiting.pop(job, None)
 

@@ -24,9 +24,8 @@ from hilserver.opcua.subscriptions import Subscription
 _TOKEN_BYTES = 32
 _LEAST_RESPONSE_BYTES = 8192
 _MAX_STATUS_CHANGES = 10
-_SPARE_PUBLISH_REQUESTS = (
-    10  # besides two per subscription, which python-opcua sends at once
-)
+# besides two per subscription, which python-opcua sends at once
+_SPARE_PUBLISH_REQUESTS = 10
 _Codes = ua.StatusCodes
 _numbers = iter(range(1000, 2**31))
 

@@ -22,9 +22,8 @@ from hilserver.period import Period
 
 LONGEST_LIFETIME_S = 600.0
 """Without its client a subscription ends within this time and a third, whatever its cycle."""
-LONGEST_KEEP_ALIVE_S = (
-    LONGEST_LIFETIME_S / 3
-)  # OPC 10000-4, 5.14.2: three times as often
+# OPC 10000-4, 5.14.2: three times as often
+LONGEST_KEEP_ALIVE_S = LONGEST_LIFETIME_S / 3
 LONGEST_PUBLISHING_MS = LONGEST_KEEP_ALIVE_S * 1e3
 MAX_NOTIFICATIONS = 1000
 _MAX_MESSAGE_BYTES = 48 * 1024

@@ -82,9 +82,8 @@ class _Folder:
     path: Path
     effect: str  # of a file that cannot be read
     stamp: dict[Path, tuple[int, ...] | None] = field(default_factory=dict)
-    unread: dict[Path, str] = field(
-        default_factory=dict
-    )  # files that cannot be read, and why
+    # files that cannot be read, and why
+    unread: dict[Path, str] = field(default_factory=dict)
     certificates: dict[str, x509.Certificate] = field(default_factory=dict)
     lists: list[x509.CertificateRevocationList] = field(default_factory=list)
 
@@ -106,9 +105,8 @@ class _Folder:
             except (ValueError, OSError) as error:
                 why = self.unread[path] = getattr(error, "strerror", None) or str(error)
                 if isinstance(error, OSError) and error.errno != errno.EFBIG:
-                    self.stamp[path] = (
-                        None  # equals no stamp: the error may pass, so read again
-                    )
+                    # equals no stamp: the error may pass, so read again
+                    self.stamp[path] = None
                 if why != before.get(path):
                     log.error(
                         f"{self.effect}: replace or remove this file",

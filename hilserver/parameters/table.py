@@ -68,13 +68,11 @@ class Parameter:
     default: float  # NaN: null
     nullable: bool  # whether it may be null
     meaning: str
-    jumps: str = (
-        ""  # words of `JUMPS`, or outputs, that may jump in the tick of a change
-    )
+    # words of `JUMPS`, or outputs, that may jump in the tick of a change
+    jumps: str = ""
     when: When = "tick"  # when a change takes effect
-    names: tuple[
-        tuple[str, float], ...
-    ] = ()  # values that have a name, which stands for them
+    # values that have a name, which stands for them
+    names: tuple[tuple[str, float], ...] = ()
 
     @property
     def outputs(self) -> tuple[str, ...]:

@@ -53,9 +53,8 @@ class Output:
     low: float = -1e9
     high: float = 1e9
     description: str = ""  # one line for the address space
-    is_replayed: bool = (
-        False  # hidden, and also an input: a replay uses the recorded value
-    )
+    # hidden, and also an input: a replay uses the recorded value
+    is_replayed: bool = False
 
 
 @dataclass(frozen=True, slots=True)

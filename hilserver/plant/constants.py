@@ -84,9 +84,8 @@ def _command(v: Any, p: Parameters) -> int:
     runs = delay_runs(v.term_actuation_delay, v.period_s)
     if runs > RING - 1:
         return ACTUATION
-    p.delay_ticks = float(
-        math.ceil(runs)
-    )  # set-points hold between ticks: that of t - tau
+    # set-points hold between ticks: that of t - tau
+    p.delay_ticks = float(math.ceil(runs))
     limited = not math.isnan(v.term_setpoint_rate_limit)
     p.rate_step = v.term_setpoint_rate_limit * v.period_s if limited else math.inf
     p.command_terms = _flag(v.term_actuation_delay > 0.0 or limited)

@@ -46,9 +46,8 @@ def balance(
         Centre of mass in front of the wheels' centre, below half the wheelbase.
     """
     aside = np.array([0.5, -0.5, 0.5, -0.5]) * track_m
-    turn = np.array(
-        [2 * track_m / (wheelbase_m**2 + track_m**2), 0.0]
-    )  # per delta = 1 m/s
+    # per delta = 1 m/s
+    turn = np.array([2 * track_m / (wheelbase_m**2 + track_m**2), 0.0])
 
     def loss(at: NDArray[np.float64]) -> float:
         along, across, _, share = _slip(wheelbase_m, track_m, offset_m, at)

@@ -56,9 +56,8 @@ class Inputs(Record):
     k_i: float  # [%/(rpm s)]
 
 
-N_SETPOINTS: Final = Inputs.where(
-    "mode"
-).start  # how many inputs, from the first, are set-points
+# how many inputs, from the first, are set-points
+N_SETPOINTS: Final = Inputs.where("mode").start
 N_COMMANDS: Final = Inputs.where("enable").stop
 """How many inputs, from the first, are commands: the set-points, mode and enable."""
 
@@ -181,12 +180,10 @@ class Parameters(Record):
     half_track: float  # [m]
     exclusive: float  # flag: v or om, never both
     mecanum: float  # flag: rollers let the wheels drive sideways
-    roller_keep: (
-        float  # share of the lateral speed that is left after the rollers' slip
-    )
-    body_wheels: (
-        float  # flag: the mechatronic model turns the wheels, instead of the process
-    )
+    # share of the lateral speed that is left after the rollers' slip
+    roller_keep: float
+    # flag: the mechatronic model turns the wheels, instead of the process
+    body_wheels: float
     ramp_step: float  # share of the safe ramp per tick
     command_terms: float  # flag: delay or rate limit is on
     drive_terms: float  # flag: `drive_terms` instead of `drive_base`
@@ -198,9 +195,8 @@ class Parameters(Record):
     derivative_keep: float  # D <- keep D + gain (e - e_last)
     derivative_gain: float  # [%/rpm]
     encoder_gain: Wheels
-    encoder_share: (
-        float  # weight of the newest speed in the encoder filter's output; 1: no filter
-    )
+    # weight of the newest speed in the encoder filter's output; 1: no filter
+    encoder_share: float
     encoder_keep: float  # weight of its last output
     quantum: float  # [rpm]
     dead_zone: float  # [%]

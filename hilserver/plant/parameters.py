@@ -91,9 +91,8 @@ class RobotParameters:
     PlantError when a value is not finite, out of range, or the wheel loop would be unstable.
     """
 
-    period_s: float = quantity(
-        0.001, "period of its slice", jumps="fixed", gt=0
-    )  # plant slice T
+    # plant slice T
+    period_s: float = quantity(0.001, "period of its slice", jumps="fixed", gt=0)
     slice_name: str = "plant"  # its name, for messages
     # ``skid``: four wheels that scrub when the robot turns; ``mecanum``: their rollers let it drive
     # sideways, and the centre of rotation is that of the wheels

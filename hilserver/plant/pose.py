@@ -8,9 +8,8 @@ from hilserver.compiled import inlined
 from hilserver.plant.layout import Inputs, State
 
 TURN = 2.0 * math.pi
-SERIES_LIMIT_RAD = (
-    0.05  # below this, the series' next term is under half a unit in the last place
-)
+# below this, the series' next term is under half a unit in the last place
+SERIES_LIMIT_RAD = 0.05
 
 
 @inlined

@@ -54,9 +54,8 @@ def is_stable(
         w1, w2 = math.expm1(-slow), math.expm1(-fast)
         apart = fast - slow
         share = -math.expm1(-apart) / apart if apart > 0.0 else 1.0
-        q1 = gain * (
-            -w1 - (1.0 + w1) * slow * share
-        )  # the step response after one tick
+        # the step response after one tick
+        q1 = gain * (-w1 - (1.0 + w1) * slow * share)
     s1, s0 = -(w1 + w2), w1 * w2
     q0 = gain * s0  # a held duty leads to its steady speed
 
@@ -66,9 +65,8 @@ def is_stable(
         r = dt_s * bandwidth / (k_d + dt_s * bandwidth)
         gain_d = k_d * bandwidth / (k_d + dt_s * bandwidth)
     k_i_step = dt_s * k_i
-    other = (
-        1.0 if k_i == 0.0 else 0.0
-    )  # without an integral, w + 1 takes the place of its w
+    # without an integral, w + 1 takes the place of its w
+    other = 1.0 if k_i == 0.0 else 0.0
     n2 = k_p + gain_d
     n1 = k_p * (r + other) + gain_d * other + k_i_step
     n0 = k_p * r * other + k_i_step * r

@@ -22,9 +22,8 @@ class Term:
     """One parameter of a cause."""
 
     name: str  # cause, or ``cause.part``
-    block: (
-        str  # part of the plant it acts in: drive, kinematics, navigation or inertial
-    )
+    # part of the plant it acts in: drive, kinematics, navigation or inertial
+    block: str
     unit: str  # symbol of the unit, "1" for a relative value
     null: float | None  # value at which it changes nothing; None: see `description`
     reference: float | None  # size at which a diagnosis must name it

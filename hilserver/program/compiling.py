@@ -109,9 +109,8 @@ def processes() -> int:
 
 def as_child(main: Callable[[], object], parent: int) -> None:
     """Run `main` and report to `parent` what it compiles; end when the parent ends or asks."""
-    signal.pthread_sigmask(
-        signal.SIG_UNBLOCK, ENDING
-    )  # the parent's guard blocks them for us, too
+    # the parent's guard blocks them for us, too
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
     end_with_parent(parent)
     with telling(lambda name: print(name, flush=True)):
         main()

@@ -105,9 +105,8 @@ class Guard:
         for cleanup in reversed(_cleanups):
             with contextlib.suppress(Exception):
                 cleanup()
-        self.say(
-            f"{why}, exit code {code}"
-        )  # last, after the output of the other threads
+        # last, after the output of the other threads
+        self.say(f"{why}, exit code {code}")
         os._exit(code)
 
 

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from scipy.special import stdtr
 
 GAP_BLOCK_S: Final = 10.0
-STRIDE_S: Final = (
-    1.0  # over which the change of an integral (position, heading) is compared
-)
+# over which the change of an integral (position, heading) is compared
+STRIDE_S: Final = 1.0
 NEWEST: Final = (3, 6, 12, 24)  # ages of the change that are tested [blocks]
 FEWEST_USUAL: Final = 12
 MOST_BLOCKS: Final = 720

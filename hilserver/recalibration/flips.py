@@ -17,9 +17,8 @@ Array = NDArray[np.float64]
 
 # With this sum of squares the right model gains 43 +- 13: significant at 0.05 in 95 % of windows.
 ENOUGH_SHOWN: Final = 43.0
-QUIET_SHARE: Final = (
-    0.1  # of the mean of all blocks; signs of smaller differences are noise
-)
+# of the mean of all blocks; signs of smaller differences are noise
+QUIET_SHARE: Final = 0.1
 MOST_FLIPS: Final = 200_000
 _AT_ONCE: Final = 4096
 

@@ -49,9 +49,8 @@ from hilserver.recalibration.orders import (
 from hilserver.recalibration.proposals import ProposedTerm, Quantity, values_of
 from hilserver.recalibration.spending import NAMED_LEVEL
 
-REFINED: Final = (
-    3  # the same for both models, or the difference would be that of refinement
-)
+# the same for both models, or the difference would be that of refinement
+REFINED: Final = 3
 HARMLESS: Final = frozenset({"dropouts", "limited_channel", "missed_ticks"})
 """Data faults that leave the remaining samples true: reported, but no reason to stop."""
 PROPOSABLE: Final = (Verdict.NAMED, Verdict.NAMED_GROUP)

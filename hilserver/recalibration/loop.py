@@ -21,9 +21,9 @@ from hilserver.recalibration.orders import (
 from hilserver.recalibration.proposals import (
     Proposal,
     ProposalStage,
+    ProposalStep,
     ProposedTerm,
     Quantity,
-    Step,
     values_of,
 )
 from hilserver.recalibration.spending import Spending
@@ -81,7 +81,10 @@ class RecalibrationLoop:
         if not self._is_undone(loaded):
             return []
         assert self.proposal is not None
-        self.proposal, self._accepted_in = self.proposal.after(Step.REPLACE), None
+        self.proposal, self._accepted_in = (
+            self.proposal.after(ProposalStep.REPLACE),
+            None,
+        )
         text = f"proposal {self.proposal.number} is no longer active: its effect is not measured"
         return [
             Note("decision", {"who": "", "proposal": self.proposal.as_json()}, text)
@@ -200,7 +203,7 @@ class RecalibrationLoop:
     def _propose(self, made: Proposal) -> list[Note]:
         notes: list[Note] = []
         if self.proposal is not None and self.proposal.waits:
-            self.proposal = self.proposal.after(Step.REPLACE)
+            self.proposal = self.proposal.after(ProposalStep.REPLACE)
             notes.append(
                 Note("decision", {"who": "", "proposal": self.proposal.as_json()})
             )
@@ -222,7 +225,7 @@ class RecalibrationLoop:
             return [Note("effect", {**fields, "verdict": "too_short", "sentence": why})]
         self._accepted_in = None
         is_better = compared.holds(EFFECT_LEVEL)
-        after = before.after(Step.GAINED if is_better else Step.LOST)
+        after = before.after(ProposalStep.GAINED if is_better else ProposalStep.LOST)
         self.proposal = replace(after, effect=compared.gain)
         fields["proposal"] = self.proposal.as_json()
         if is_better:
@@ -236,7 +239,7 @@ class RecalibrationLoop:
 
     # --- decisions --------------------------------------------------------------------------------
 
-    def decided(self, step: Step, number: int) -> Proposal:
+    def decided(self, step: ProposalStep, number: int) -> Proposal:
         """Return the proposal after a decision; nothing changes until `adopt`.
 
         Raises
@@ -290,7 +293,7 @@ class RecalibrationLoop:
             self._accepted_in = window
             if self._is_undone(loaded):
                 self.proposal, self._accepted_in = (
-                    self.proposal.after(Step.REOPEN),
+                    self.proposal.after(ProposalStep.REOPEN),
                     None,
                 )
 

@@ -19,9 +19,8 @@ class Todo:
 
     window: int
     loaded: Values  # the terms of the model that runs
-    measure: Values | None = (
-        None  # terms of the model before: is the running one better?
-    )
+    # terms of the model before: is the running one better?
+    measure: Values | None = None
     # terms named on the window before: are they better than the running model?
     confirm: Values | None = None
     level: float = 0.0  # of the confirmation
@@ -80,9 +79,8 @@ class Looked:
     causes: tuple[str, ...] = ()
     # of the model that would be proposed, all of them
     terms: Mapping[str, ProposedTerm] = field(default_factory=dict)
-    gone: Values = field(
-        default_factory=dict
-    )  # running terms that would be switched off
+    # running terms that would be switched off
+    gone: Values = field(default_factory=dict)
     # where the terms were fitted, as in a patch
     fitted: Mapping[str, Any] = field(default_factory=dict)
     faults: tuple[str, ...] = ()  # a sentence for each fault of the data

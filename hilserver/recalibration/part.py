@@ -16,21 +16,20 @@ from hilserver.core.recalibration import RECALIBRATION_METRICS, Figures, Table
 from hilserver.errors import ControlRefused, FailedError, UserError
 from hilserver.image import Frame
 from hilserver.io.world import Figure, Part, World
-from hilserver.metrics import Source
+from hilserver.metrics import MetricSource
 from hilserver.recalibration import patches, process
 from hilserver.recalibration.gap import ChangeWatch
 from hilserver.recalibration.history import History, broken, is_sound
 from hilserver.recalibration.loop import Note, RecalibrationLoop, present
 from hilserver.recalibration.orders import JudgeOrder, Share, Todo, Values
-from hilserver.recalibration.proposals import Proposal, ProposalStage, Step
+from hilserver.recalibration.proposals import Proposal, ProposalStage, ProposalStep
 from hilserver.recalibration.spending import Spending
 from hilserver.recalibration.windows import RecalibrationWindow, WindowNews
 from hilserver.tasks import SupervisedTask
 
 LOOK_FOR_WINDOWS_S: Final = 1.0
-RECORD_AGAIN_S: Final = (
-    60.0  # after the recorder has ended: a full disk is not freed at once
-)
+# after the recorder has ended: a full disk is not freed at once
+RECORD_AGAIN_S: Final = 60.0
 AUTOMATIC: Final = "automatic"
 KEPT_REPORTS: Final = 20
 MOST_TEXT: Final = 500
@@ -57,7 +56,7 @@ class Recalibration(Part):
         self._jobs: list[SupervisedTask] = []
         self._turn = asyncio.Lock()
         self.figures = Figures()
-        self.metrics = (Source(RECALIBRATION_METRICS, self._counted),)
+        self.metrics = (MetricSource(RECALIBRATION_METRICS, self._counted),)
         self._last = {"kind": "", "verdict": "", "sentence": ""}
         self._refusals: dict[str, float] = {}
         self._frame: Frame | None = None
@@ -225,7 +224,7 @@ class Recalibration(Part):
             If it is not open, the model has changed since, or it cannot be recorded.
         """
         async with self._turn:
-            decided = self.loop.decided(Step.ACCEPT, number)
+            decided = self.loop.decided(ProposalStep.ACCEPT, number)
             differing = self._differing
             loaded, others = patches.split(differing)
             if loaded != present(decided):
@@ -287,13 +286,13 @@ class Recalibration(Part):
 
     async def reject(self, number: int, who: str) -> None:
         """Reject a proposal, which is then not repeated; UserError as for `accept`."""
-        await self._decide(Step.REJECT, number, who)
+        await self._decide(ProposalStep.REJECT, number, who)
 
     async def postpone(self, number: int, who: str) -> None:
         """Leave a proposal open and remind nobody; UserError as for `accept`."""
-        await self._decide(Step.POSTPONE, number, who)
+        await self._decide(ProposalStep.POSTPONE, number, who)
 
-    async def _decide(self, step: Step, number: int, who: str) -> None:
+    async def _decide(self, step: ProposalStep, number: int, who: str) -> None:
         async with self._turn:
             decided = self.loop.decided(step, number)
             self._history.append("decision", who=who, proposal=decided.as_json())

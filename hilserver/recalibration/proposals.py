@@ -27,7 +27,7 @@ class ProposalStage(StrEnum):
     NOT_BETTER = "not_better"
 
 
-class Step(StrEnum):
+class ProposalStep(StrEnum):
     """What changes the stage: methods of OPC UA first, then steps of the loop itself."""
 
     ACCEPT = "AcceptProposal"
@@ -40,14 +40,16 @@ class Step(StrEnum):
 
 
 _WAITING: Final = (ProposalStage.OPEN, ProposalStage.POSTPONED)
-FOLLOWING: Final[Mapping[Step, tuple[tuple[ProposalStage, ...], ProposalStage]]] = {
-    Step.ACCEPT: (_WAITING, ProposalStage.ACCEPTED),
-    Step.REJECT: (_WAITING, ProposalStage.REJECTED),
-    Step.POSTPONE: ((ProposalStage.OPEN,), ProposalStage.POSTPONED),
-    Step.REPLACE: ((*_WAITING, ProposalStage.ACCEPTED), ProposalStage.REPLACED),
-    Step.REOPEN: ((ProposalStage.ACCEPTED,), ProposalStage.OPEN),
-    Step.GAINED: ((ProposalStage.ACCEPTED,), ProposalStage.BETTER),
-    Step.LOST: ((ProposalStage.ACCEPTED,), ProposalStage.NOT_BETTER),
+FOLLOWING: Final[
+    Mapping[ProposalStep, tuple[tuple[ProposalStage, ...], ProposalStage]]
+] = {
+    ProposalStep.ACCEPT: (_WAITING, ProposalStage.ACCEPTED),
+    ProposalStep.REJECT: (_WAITING, ProposalStage.REJECTED),
+    ProposalStep.POSTPONE: ((ProposalStage.OPEN,), ProposalStage.POSTPONED),
+    ProposalStep.REPLACE: ((*_WAITING, ProposalStage.ACCEPTED), ProposalStage.REPLACED),
+    ProposalStep.REOPEN: ((ProposalStage.ACCEPTED,), ProposalStage.OPEN),
+    ProposalStep.GAINED: ((ProposalStage.ACCEPTED,), ProposalStage.BETTER),
+    ProposalStep.LOST: ((ProposalStage.ACCEPTED,), ProposalStage.NOT_BETTER),
 }
 """For each step: the stages in which it is possible, and the one that follows."""
 
@@ -107,7 +109,7 @@ class Proposal:
         """Whether somebody still has to decide."""
         return self.stage in _WAITING
 
-    def after(self, step: Step) -> Self:
+    def after(self, step: ProposalStep) -> Self:
         """Return it one step further; ControlRefused if that is not possible where it is."""
         possible, following = FOLLOWING[step]
         if self.stage not in possible:
@@ -152,9 +154,8 @@ class Proposal:
         ValueError
             If the data are not a proposal.
         """
-        return _PROPOSAL.validate_json(
-            json.dumps(data)
-        )  # strict about types of JSON, not Python
+        # strict about types of JSON, not Python
+        return _PROPOSAL.validate_json(json.dumps(data))
 
 
 _PROPOSAL: Final = TypeAdapter(Proposal)

@@ -13,7 +13,7 @@ from hilserver.errors import ConfigError, LogError
 from hilserver.faults.model import parse_fault
 from hilserver.image import read_frames
 from hilserver.image.changes import Changes
-from hilserver.logs import Log, State
+from hilserver.logs import Log, RecordedState
 from hilserver.logs.log import Change
 from hilserver.logs.provenance import FaultCommand
 from hilserver.logs.writer import Segmented
@@ -111,10 +111,10 @@ class Engine:
         except ValueError as error:
             raise LogError(f"the fault at tick {command.tick}: {error}") from None
 
-    def start_of(self, stretch: Stretch) -> State:
+    def start_of(self, stretch: Stretch) -> RecordedState:
         """Return the state with which a stretch begins."""
         words = self._fresh if stretch.state is None else stretch.state
-        return State(stretch.segment, stretch.first_tick, words)
+        return RecordedState(stretch.segment, stretch.first_tick, words)
 
     async def play(self, stretch: Stretch) -> AsyncIterator[Segmented]:
         """Run a stretch; yield its frames."""
@@ -142,9 +142,8 @@ class Engine:
             rows = rows[end:]
             await self._core.scheduler.advance(n)
             frames = read_frames(self.image, number, n)
-            frames.words[:, 1] = (
-                frames.ticks * period_ns
-            )  # simulated, not planned, time
+            # simulated, not planned, time
+            frames.words[:, 1] = frames.ticks * period_ns
             yield Segmented(frames, np.full(n, stretch.segment, dtype=np.int64), posted)
             number, done = number + n, done + n
 

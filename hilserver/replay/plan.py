@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from hilserver.errors import LogError
 from hilserver.image.layout import Layout
-from hilserver.logs import Log, State
+from hilserver.logs import Log, RecordedState
 from hilserver.logs.log import Change
 from hilserver.logs.provenance import FaultCommand
 from hilserver.measured.channels import MODE, OF_MODE, TWIST
@@ -51,7 +51,7 @@ def plan_exact(
     table: SignalTable,
     layout: Layout,
     base_period_ns: int,
-    start: State | None = None,
+    start: RecordedState | None = None,
 ) -> Plan:
     """Plan a replay that reproduces the bits of the recorded run.
 
@@ -139,8 +139,8 @@ def _runs(
 
 
 def _state_in(
-    log: Log, segment: int, low: int, high: int, start: State | None
-) -> State | None:
+    log: Log, segment: int, low: int, high: int, start: RecordedState | None
+) -> RecordedState | None:
     if start is not None:
         return start if low <= start.tick <= high else None
     fitting = [s for s in log.states if s.segment == segment and low <= s.tick <= high]
@@ -159,7 +159,9 @@ def _faults_in(log: Log, segment: int, low: int, high: int) -> list[FaultCommand
     return sorted(fitting, key=lambda command: command.tick)
 
 
-def _no_state(log: Log, ticks: NDArray[np.int64], start: State | None) -> LogError:
+def _no_state(
+    log: Log, ticks: NDArray[np.int64], start: RecordedState | None
+) -> LogError:
     if start is not None:
         return LogError(
             f"{log.path}: has no frame of tick {start.tick}, at which the snapshot was taken; it"

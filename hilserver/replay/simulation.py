@@ -12,7 +12,7 @@ from hilserver.daemon.assembly import Assembly, assemble_config
 from hilserver.daemon.daemon import Daemon
 from hilserver.faults.scenario import Play
 from hilserver.image import read_frames
-from hilserver.logs import LogWriter, Segmented, State, open_writer
+from hilserver.logs import LogWriter, RecordedState, Segmented, open_writer
 from hilserver.logs.provenance import make_run
 
 BATCH_TICKS, RING_FRAMES = 1000, 2048
@@ -45,7 +45,7 @@ class Simulation:
     def __init__(self, assembly: Assembly, play: Play) -> None:
         self._daemon = Daemon(offline(assembly), play=play, paused=True)
         self.image, self.table = self._daemon.image, self._daemon.table
-        self.start = State(0, 0, self._daemon.core.snapshots.initial.copy())
+        self.start = RecordedState(0, 0, self._daemon.core.snapshots.initial.copy())
 
     async def __aenter__(self) -> Self:
         await self._daemon.__aenter__()

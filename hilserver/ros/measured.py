@@ -44,12 +44,10 @@ class Conventions:
     frame: str  # in which poses count
     base: str  # frame of the robot itself
     joints: Mapping[str, str] = field(default_factory=dict)  # wheel by name of a joint
-    remarks: dict[str, None] = field(
-        default_factory=dict
-    )  # why something was not taken
-    _wheels: Values = field(
-        default_factory=dict
-    )  # of joint states, until all four have come
+    # why something was not taken
+    remarks: dict[str, None] = field(default_factory=dict)
+    # of joint states, until all four have come
+    _wheels: Values = field(default_factory=dict)
     _tree: dict[str, tuple[str, Pose]] = field(default_factory=dict)  # parent by frame
 
     @classmethod

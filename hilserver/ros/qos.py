@@ -14,8 +14,7 @@ class Qos:
 
 
 DEFAULT: Final = Qos()  # of a writer with `SystemDefaultsQoS`
-SENSOR_DATA: Final = Qos(
-    reliable=False
-)  # for readers: BEST_EFFORT matches every writer
+# for readers: BEST_EFFORT matches every writer
+SENSOR_DATA: Final = Qos(reliable=False)
 LATCHED: Final = Qos(latched=True, depth=1)
 """RELIABLE and TRANSIENT_LOCAL: a late reader gets the last message."""

@@ -93,10 +93,8 @@ class Types:
         for name, text in MESSAGES.items():
             self.add(name, text)
         kinds: Any = _kinds()
-        gid: Any = (
-            kinds.ARRAY,
-            ((kinds.BASE, ("uint8", 0)), 16),
-        )  # a char is hashed as a uint8
+        # a char is hashed as a uint8
+        gid: Any = (kinds.ARRAY, ((kinds.BASE, ("uint8", 0)), 16))
         for holder, held in ((EVENT_INFO, "client_gid"), (GID, "data")):
             constants, fields = self.store.fielddefs[holder]
             fields = [(field, gid if field == held else kind) for field, kind in fields]

@@ -10,9 +10,8 @@ from hilserver_injector import Recipe
 class Expectation:
     """What must be found."""
 
-    must_say: tuple[
-        frozenset[str], ...
-    ] = ()  # for each, a finding must hold one of these causes
+    # for each, a finding must hold one of these causes
+    must_say: tuple[frozenset[str], ...] = ()
     # causes that one group must hold, because the log cannot tell them apart
     together: frozenset[str] = frozenset()
     must_not_say: frozenset[str] = frozenset()  # causes that no finding may hold

@@ -31,7 +31,7 @@ from hilserver.scheduler.law import LATE_WAKE
 _LOOK_NS = 1_000_000_000
 
 
-class Cause(StrEnum):
+class OverrunCause(StrEnum):
     """The words of the module's table."""
 
     STOPPED = "stopped"
@@ -70,26 +70,26 @@ class OverrunEvidence:
     stopped: bool
 
 
-def judge(evidence: OverrunEvidence) -> Cause:
+def judge(evidence: OverrunEvidence) -> OverrunCause:
     """Name the likeliest cause: the first that explains at least half of the span."""
     half = evidence.span_ns // 2
     if evidence.stopped:
-        return Cause.STOPPED
+        return OverrunCause.STOPPED
     if evidence.gc_ns >= half > 0:
-        return Cause.GC
+        return OverrunCause.GC
     if not evidence.late and evidence.cpu_ns >= min(half, evidence.period_ns):
-        return Cause.SLICE
+        return OverrunCause.SLICE
     if evidence.steal_ns >= half:
-        return Cause.STOLEN
+        return OverrunCause.STOLEN
     if evidence.run_delay_ns >= half:
-        return Cause.PREEMPTED
+        return OverrunCause.PREEMPTED
     if evidence.major_faults:
-        return Cause.FAULT
+        return OverrunCause.FAULT
     if evidence.preempted and not evidence.late:
-        return Cause.PREEMPTED
+        return OverrunCause.PREEMPTED
     if evidence.minor_faults and not evidence.late:
-        return Cause.FAULT
-    return Cause.UNKNOWN
+        return OverrunCause.FAULT
+    return OverrunCause.UNKNOWN
 
 
 def read_run_delay_ns(thread_id: int, proc: Path = Path("/proc")) -> int:
@@ -144,7 +144,7 @@ class CauseFinder:
         if self._clock_ns() - self._last.at_ns >= _LOOK_NS:
             self._last = self.look()
 
-    def explain(self, record: OverrunRecord, now: Look) -> Cause:
+    def explain(self, record: OverrunRecord, now: Look) -> OverrunCause:
         """Name the likeliest cause of one overrun of a compiled slice; `now` is a fresh look."""
         late = record.kind == LATE_WAKE
         began_ns = record.planned_ns if late else record.planned_ns + record.latency_ns
@@ -169,13 +169,15 @@ class CauseFinder:
             )
         )
 
-    def explain_communication(self, begin_ns: int, end_ns: int, *, late: bool) -> Cause:
+    def explain_communication(
+        self, begin_ns: int, end_ns: int, *, late: bool
+    ) -> OverrunCause:
         """Name the likeliest cause of an overrun of a communication slice."""
         if self._was_stopped(begin_ns, end_ns):
-            return Cause.STOPPED
+            return OverrunCause.STOPPED
         if self._gc_pauses.overlap_ns(begin_ns, end_ns) * 2 >= end_ns - begin_ns > 0:
-            return Cause.GC
-        return Cause.EVENT_LOOP if late else Cause.SLICE
+            return OverrunCause.GC
+        return OverrunCause.EVENT_LOOP if late else OverrunCause.SLICE
 
     def _was_stopped(self, begin_ns: int, end_ns: int) -> bool:
         # The handler runs on the event loop, hence a little after the process continues.

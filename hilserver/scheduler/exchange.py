@@ -47,7 +47,8 @@ class OverrunRecord:
     """One overrun or fault as the pacing loop saw it, a row of the ring; times in ns."""
 
     tick: int
-    kind: int  # ``LATE_WAKE`` or ``LONG_RUN`` of the law; 0 for a fault without an overrun
+    # ``LATE_WAKE`` or ``LONG_RUN`` of the law; 0 for a fault without an overrun
+    kind: int
     # row of the slice that is blamed: the first for a late wake, otherwise the longest
     slice_index: int
     planned_ns: int

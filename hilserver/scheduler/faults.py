@@ -10,9 +10,8 @@ SINGLE_OVERRUN: Final = 1
 CONSECUTIVE_OVERRUNS: Final = 2
 COMMUNICATION: Final = 3
 SILENCE: Final = 4
-BODY: Final = (
-    1000  # returned by the mechatronic model's slice when its numbers are invalid
-)
+# returned by the mechatronic model's slice when its numbers are invalid
+BODY: Final = 1000
 
 SLICE: Final = 16  # ``SLICE + n``: a slice returned the fault number n > 0
 

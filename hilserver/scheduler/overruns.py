@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from hilserver.period import Period
-from hilserver.scheduler.causes import Cause, CauseFinder, Look
+from hilserver.scheduler.causes import CauseFinder, Look, OverrunCause
 from hilserver.scheduler.exchange import HEARTBEAT, NEXT_TICK
 from hilserver.scheduler.faults import fault_of
 from hilserver.scheduler.law import (
@@ -36,13 +36,14 @@ class OverrunReport:
 
     # the slice that is blamed: the first of the tick for a late wake, otherwise the longest
     slice: str
-    kind: str  # ``late_wake``, ``long_run`` or ``fault`` (a slice reported a fault in time)
+    # ``late_wake``, ``long_run`` or ``fault`` (a slice reported a fault in time)
+    kind: str
     tick: int
     # of the tick (compiled slices) or of the slice (communication)
     latency_ns: int
     execution_ns: int
     missed: int  # planned starts that were given up
-    cause: Cause  # as far as the system shows
+    cause: OverrunCause  # as far as the system shows
     # "" or what followed: ``single_overrun_limit``, ``consecutive_overrun_limit``, ``stopped``,
     # ``fault 3`` (the slice's own number), ``stalled``: it has not returned for a second
     consequence: str = ""
@@ -132,7 +133,7 @@ class Overruns:
                 self._machine.statistics.names[0],
                 self._machine.exchange.get(NEXT_TICK),
             )
-            kind, cause = KIND_NAMES[LONG_RUN], Cause.SLICE
+            kind, cause = KIND_NAMES[LONG_RUN], OverrunCause.SLICE
             self._call(OverrunReport(name, kind, tick, 0, silent_ns, 0, cause, STALLED))
         self._stalled = stalled
 
@@ -142,10 +143,13 @@ class Overruns:
         names = self._machine.statistics.names
         look: Look | None = None
         while record := self._machine.exchange.take_record(ended_before_ns):
-            look = (
-                look or self._finder.look()
-            )  # one look serves all records of this round
-            cause = self._finder.explain(record, look) if record.kind else Cause.SLICE
+            # one look serves all records of this round
+            look = look or self._finder.look()
+            cause = (
+                self._finder.explain(record, look)
+                if record.kind
+                else OverrunCause.SLICE
+            )
             self._call(
                 OverrunReport(
                     slice=names[record.slice_index],

@@ -34,6 +34,5 @@ class Pacing(Protocol):
 
 Rung = Callable[[], None]  # called on the event loop when the machine has news
 
-Ended = Callable[
-    [StopReason], None
-]  # called on the event loop once, when pacing has ended
+# called on the event loop once, when pacing has ended
+Ended = Callable[[StopReason], None]

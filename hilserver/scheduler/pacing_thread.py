@@ -43,9 +43,8 @@ class ThreadPacing:
         self._thread = threading.Thread(target=self._run, name="pacing", daemon=True)
         self._doorbell = -1
         self._over = asyncio.Event()
-        self.thread_id = (
-            0  # the operating system's number of the pacing thread; 0 before the start
-        )
+        # the operating system's number of the pacing thread; 0 before the start
+        self.thread_id = 0
 
     async def start(self) -> list[AuditFinding]:
         """Start the thread; return what the operating system granted."""

@@ -110,9 +110,8 @@ class OverrunLimits:
     """Overruns tolerated before the scheduler requests the safe state; 0 switches a limit off."""
 
     single_ns: int = 0  # a tick that ends later than this after its deadline
-    consecutive: int = (
-        0  # number of overruns without a tick in between that ended in time
-    )
+    # number of overruns without a tick in between that ended in time
+    consecutive: int = 0
 
     def __post_init__(self) -> None:
         if self.single_ns < 0 or self.consecutive < 0:

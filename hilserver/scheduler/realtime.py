@@ -23,9 +23,8 @@ CAP_IPC_LOCK, CAP_SYS_NICE = 14, 23
 class RealtimeSettings:
     """What to request."""
 
-    priority: int = (
-        80  # SCHED_FIFO priority of the pacing thread, 1 to 99; 0: do not ask
-    )
+    # SCHED_FIFO priority of the pacing thread, 1 to 99; 0: do not ask
+    priority: int = 80
     cpu: int | None = None  # pin the pacing thread to this core
     lock_memory: bool = True  # lock and prefault the memory of the process
     # hold /dev/cpu_dma_latency open with 0, so that no core sleeps deeply

@@ -204,9 +204,8 @@ class Statistics:
         for _ in range(_READ_ROUNDS):
             if rows.read_row(self.array, offset, out):
                 return out
-            time.sleep(
-                _READ_PAUSE_S
-            )  # the writer was preempted, or its core stolen, in the middle
+            # the writer was preempted, or its core stolen, in the middle
+            time.sleep(_READ_PAUSE_S)
         raise RuntimeError(
             "the statistics are half written: their writer was stopped or has died"
         )

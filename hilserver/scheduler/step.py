@@ -21,9 +21,8 @@ Called at every wake-up, also while paused."""
 PUBLISH = -2
 """Publish the outputs of this tick; return 0. Also called for the last tick of a state that was
 restored while paused."""
-FAULT = (
-    -3
-)  # enter the safe state; ``tick`` carries the code, see `hilserver.scheduler.faults`
+# enter the safe state; ``tick`` carries the code, see `hilserver.scheduler.faults`
+FAULT = -3
 
 STEP_SIGNATURE: Any = types.int64(
     types.int64, types.int64, types.int64, types.float64[::1], types.int64[::1]

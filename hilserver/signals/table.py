@@ -41,9 +41,8 @@ class Signal:
     initial: float = 0.0
     # names of the values 0, 1, ... (of a Boolean: false, true), if they have names
     labels: tuple[str, ...] = ()
-    hidden: bool = (
-        False  # part of frame, log and snapshot, but not of any user interface
-    )
+    # part of frame, log and snapshot, but not of any user interface
+    hidden: bool = False
     is_own: bool = False  # an input that only the daemon itself writes
 
     @property

@@ -12,8 +12,8 @@ import numpy as np
 from hilserver.compiled import kernel_hash
 from hilserver.program.workers import end_with_parent
 from hilserver.sweep.limits import limit_memory
-from hilserver.sweep.prepare import Job, Machine
-from hilserver.sweep.rig import Outcome, Rig
+from hilserver.sweep.prepare import SentMachine, SweepJob
+from hilserver.sweep.rig import MachineOutcome, Rig
 from hilserver.sweep.stepped import Stepped
 
 _PROBES = np.linspace(-3.0, 3.0, 41)
@@ -37,7 +37,7 @@ def begin_worker(parent: int, memory_mb: float) -> None:
     limit_memory(memory_mb)
 
 
-def rig_for(job: Job) -> Rig | Stepped:
+def rig_for(job: SweepJob) -> Rig | Stepped:
     """Return what drives the machines of a job."""
     given = job.sweep.controller
     return Rig(job) if given is None or not given.command else Stepped(job)
@@ -46,7 +46,9 @@ def rig_for(job: Job) -> Rig | Stepped:
 _rigs: dict[str, Rig | Stepped] = {}
 
 
-def run_batch(job: Job, machines: Sequence[Machine]) -> tuple[str, list[Outcome]]:
+def run_batch(
+    job: SweepJob, machines: Sequence[SentMachine]
+) -> tuple[str, list[MachineOutcome]]:
     """Drive machines one after the other; return the fingerprint and what became of them."""
     if job.key not in _rigs:
         _rigs.clear()

@@ -23,14 +23,14 @@ from typing import Any, Final, Protocol
 from hilserver.diagnosis.many import connected
 from hilserver.errors import FailedError
 from hilserver.sweep.batch import begin_worker, fingerprint, run_batch
-from hilserver.sweep.prepare import Job, Machine
-from hilserver.sweep.rig import Outcome
+from hilserver.sweep.prepare import SentMachine, SweepJob
+from hilserver.sweep.rig import MachineOutcome
 
 IN_A_BATCH: Final = 8
 BATCHES_AHEAD: Final = 3  # batches under way for each worker
 LIVES: Final = 3  # a machine fails when this many workers have died with it alone
 STARTS: Final = 30
-Result = tuple[str, list[Outcome]]
+Result = tuple[str, list[MachineOutcome]]
 
 
 class Workers(Protocol):
@@ -38,7 +38,7 @@ class Workers(Protocol):
 
     count: int
 
-    def submit(self, job: Job, machines: list[Machine]) -> "Future[Result]":
+    def submit(self, job: SweepJob, machines: list[SentMachine]) -> "Future[Result]":
         """Have machines driven."""
 
     def means_death(self, error: BaseException) -> bool:
@@ -61,7 +61,7 @@ class LocalWorkers(AbstractContextManager["LocalWorkers"]):
         arguments = (os.getpid(), self._memory_mb)
         return ProcessPoolExecutor(self.count, context, begin_worker, arguments)
 
-    def submit(self, job: Job, machines: list[Machine]) -> "Future[Result]":
+    def submit(self, job: SweepJob, machines: list[SentMachine]) -> "Future[Result]":
         """Have machines driven."""
         try:
             return self._pool.submit(run_batch, job, machines)
@@ -94,7 +94,7 @@ class DaskWorkers(AbstractContextManager["DaskWorkers"]):
         self.count = max(sum(self._client.nthreads().values()), 1)
         self._executor: Any = self._client.get_executor(pure=False)
 
-    def submit(self, job: Job, machines: list[Machine]) -> "Future[Result]":
+    def submit(self, job: SweepJob, machines: list[SentMachine]) -> "Future[Result]":
         """Have machines driven."""
         future: Future[Result] = self._executor.submit(run_batch, job, machines)
         return future
@@ -112,14 +112,18 @@ class DaskWorkers(AbstractContextManager["DaskWorkers"]):
 
 
 def outcomes(
-    job: Job, machines: Iterable[Machine], workers: Workers, *, mixed: bool = False
+    job: SweepJob,
+    machines: Iterable[SentMachine],
+    workers: Workers,
+    *,
+    mixed: bool = False,
 ) -> Iterator[Result]:
     """Yield where batches ran and the outcomes of their machines, as they finish.
 
     FailedError if a computer gives other bits than this one, unless `mixed`.
     """
-    source: Iterator[Machine] = iter(machines)
-    pending: dict[Future[Result], list[Machine]] = {}
+    source: Iterator[SentMachine] = iter(machines)
+    pending: dict[Future[Result], list[SentMachine]] = {}
     while True:
         while len(pending) < BATCHES_AHEAD * workers.count and (
             batch := list(islice(source, IN_A_BATCH))
@@ -135,17 +139,16 @@ def outcomes(
 
 
 def _taken(
-    pending: "dict[Future[Result], list[Machine]]", workers: Workers
-) -> tuple[list[Result], list[Machine]]:
+    pending: "dict[Future[Result], list[SentMachine]]", workers: Workers
+) -> tuple[list[Result], list[SentMachine]]:
     """Wait for finished batches; return results, and the machines of workers that died."""
     done, _ = wait(pending, return_when=FIRST_COMPLETED)
     errors = [error for future in done if (error := future.exception()) is not None]
     if any(map(workers.means_death, errors)):
-        done, _ = wait(
-            pending
-        )  # in a pool of processes all fail together, and it is renewed
+        # in a pool of processes all fail together, and it is renewed
+        done, _ = wait(pending)
         workers.renew()
-    results, lost = [], list[Machine]()
+    results, lost = [], list[SentMachine]()
     for future in done:
         batch, error = pending.pop(future), future.exception()
         if error is None:
@@ -157,7 +160,7 @@ def _taken(
     return results, lost
 
 
-def _alone(job: Job, machine: Machine, workers: Workers) -> Result:
+def _alone(job: SweepJob, machine: SentMachine, workers: Workers) -> Result:
     """Drive a machine that may have ended a worker, alone."""
     for _ in range(LIVES):
         _awake(job, workers)
@@ -167,10 +170,10 @@ def _alone(job: Job, machine: Machine, workers: Workers) -> Result:
         f"stopped its worker {LIVES} times: its code does not return within"
         f" {job.sweep.limits.time_s:g} s, needs too much memory, or crashes"
     )
-    return fingerprint(), [Outcome(machine.index, error=text)]
+    return fingerprint(), [MachineOutcome(machine.index, error=text)]
 
 
-def _awake(job: Job, workers: Workers) -> None:
+def _awake(job: SweepJob, workers: Workers) -> None:
     """Wait for a worker that is ready: no machine is to blame for one killed during its start.
 
     FailedError if no worker becomes ready.
@@ -181,7 +184,9 @@ def _awake(job: Job, workers: Workers) -> None:
     raise FailedError(f"{STARTS} workers died while starting; is there enough memory?")
 
 
-def _tried(job: Job, machines: list[Machine], workers: Workers) -> Result | None:
+def _tried(
+    job: SweepJob, machines: list[SentMachine], workers: Workers
+) -> Result | None:
     """Return the result of a batch; None if its worker died, in whose place there is a new one."""
     try:
         return workers.submit(job, machines).result()

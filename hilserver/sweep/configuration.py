@@ -7,10 +7,12 @@ from typing import Any
 from hilserver.config.root import Config, without_passwords
 from hilserver.parameters.table import BLOCK, TERM
 from hilserver.plant.terms import TERMS, complete
-from hilserver.sweep.prepare import Machine
+from hilserver.sweep.prepare import SentMachine
 
 
-def machine_config(config: Config, folder: Path, machine: Machine) -> dict[str, Any]:
+def machine_config(
+    config: Config, folder: Path, machine: SentMachine
+) -> dict[str, Any]:
     """Return the configuration of a machine as plain data; its paths are absolute."""
     data = without_passwords(config)
     terms = {n: v for n, v in complete(machine.terms).items() if v != TERMS[n].null}

@@ -28,7 +28,7 @@ class WrongCommand(ValueError):
     """A controller returned something that is not a set of commands."""
 
 
-class Signals(Mapping[str, float]):
+class NewestValues(Mapping[str, float]):
     """The newest values, by name."""
 
     def __init__(self, image: ProcessImage, table: SignalTable) -> None:
@@ -46,12 +46,12 @@ class Signals(Mapping[str, float]):
         return len(self._slots)
 
 
-class Driver:
+class ControllerDriver:
     """Calls controllers and passes on their commands."""
 
     def __init__(
         self,
-        make: Callable[[], Callable[[float, Signals], Any]],
+        make: Callable[[], Callable[[float, NewestValues], Any]],
         image: ProcessImage,
         table: SignalTable,
         leases: Leases,
@@ -64,10 +64,10 @@ class Driver:
             period_s,
         )
         self._leases = leases
-        self._signals = Signals(image, table)
+        self._signals = NewestValues(image, table)
         self._known: dict[str, Signal] = {}
         self._newest: dict[str, Any] = {}
-        self._controller: Callable[[float, Signals], Any] = _no_controller
+        self._controller: Callable[[float, NewestValues], Any] = _no_controller
         # commands, by the tick that latches them; only changes
         self.written: list[tuple[int, dict[str, Any]]] = []
 
@@ -130,5 +130,5 @@ class Driver:
             yield Row(self._leases.place(WHO, slot), number)
 
 
-def _no_controller(_time_s: float, _signals: Signals) -> None:
+def _no_controller(_time_s: float, _signals: NewestValues) -> None:
     return None

@@ -18,13 +18,12 @@ from hilserver.faults import Fault
 from hilserver.sweep.model import Distribution, FaultShare
 
 SEEDS: Final = 2**53  # one more than the largest seed of a plant
-_HALF = (
-    2.0**-54
-)  # moves a uniform number off zero, where the normal distribution has no value
+# moves a uniform number off zero, where the normal distribution has no value
+_HALF = 2.0**-54
 
 
 @dataclass(frozen=True)
-class Joint:
+class JointDraw:
     """Parameters of one machine that are known jointly."""
 
     names: tuple[str, ...]  # as in the table of parameters
@@ -39,7 +38,7 @@ class Draws:
     seed: int
     population: Mapping[str, Distribution]
     nominal: Mapping[str, float]  # configured value for each name of `population`
-    joint: Joint | None
+    joint: JointDraw | None
     faults: Sequence[FaultShare]
 
     @property

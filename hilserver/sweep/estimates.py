@@ -11,9 +11,8 @@ from hilserver.arrays import Array
 
 LEVEL: Final = 0.95
 LEAST_MACHINES: Final = 10  # with fewer machines no correlation is reported
-TOGETHER: Final = (
-    0.7  # rank correlation above which two drawn parameters form one group
-)
+# rank correlation above which two drawn parameters form one group
+TOGETHER: Final = 0.7
 
 
 def exact_interval(passed: int, n: int) -> tuple[float, float]:
@@ -30,9 +29,8 @@ class Influence:
 
     # several if their draws are so correlated that the sweep cannot separate them
     names: tuple[str, ...]
-    rank_correlation: (
-        float  # Spearman's, of the first name; positive if it raises the margin
-    )
+    # Spearman's, of the first name; positive if it raises the margin
+    rank_correlation: float
     # 95 % (Fisher's z with the variance of Bonett and Wright, 2000)
     interval: tuple[float, float]
     # 0 .. 1: share of the variance of the margin's ranks that the parameter explains, in any shape;

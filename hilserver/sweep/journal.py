@@ -8,13 +8,13 @@ from typing import IO, Any
 
 from hilserver.errors import FailedError
 from hilserver.sweep.batch import fingerprint
-from hilserver.sweep.rig import Outcome
+from hilserver.sweep.rig import MachineOutcome
 
 NAME = "finished.jsonl"
 SCHEMA = "hilserver.sweep/1"
 
 
-class Journal:
+class SweepJournal:
     """Appends outcomes to a file; with `resume`, knows those of earlier runs.
 
     FailedError if a file exists and is not to be continued, or belongs to another sweep.
@@ -22,10 +22,9 @@ class Journal:
 
     def __init__(self, folder: Path, key: str, *, resume: bool) -> None:
         self.path = folder / NAME
-        self.done: dict[int, Outcome] = {}  # by index
-        self.where: dict[
-            int, str
-        ] = {}  # fingerprints of computers other than this one, by index
+        self.done: dict[int, MachineOutcome] = {}  # by index
+        # fingerprints of computers other than this one, by index
+        self.where: dict[int, str] = {}
         head = {"schema": SCHEMA, "key": key, "computer": fingerprint()}
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -64,7 +63,7 @@ class Journal:
             )
         for row in rows:
             index = row["index"]
-            self.done[index] = Outcome(
+            self.done[index] = MachineOutcome(
                 index,
                 tuple(row["margins"]),
                 row.get("error", ""),
@@ -74,7 +73,7 @@ class Journal:
                 self.where[index] = row.get("computer", first["computer"])
         return len(whole)
 
-    def add(self, outcomes: Iterable[Outcome], computer: str) -> None:
+    def add(self, outcomes: Iterable[MachineOutcome], computer: str) -> None:
         """Add outcomes; they are on disk when this returns."""
         rows = []
         for outcome in outcomes:

@@ -6,10 +6,10 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from hilserver.sweep.estimates import exact_interval
-from hilserver.sweep.table import REFUSED, Table
+from hilserver.sweep.table import REFUSED, MachineTable
 
 
-def write_junit(path: Path, table: Table) -> None:
+def write_junit(path: Path, table: MachineTable) -> None:
     """Write a test suite; a requirement that too few machines meet fails."""
     driven = np.array([status != REFUSED for status in table.status], dtype=bool)
     shares, name = table.about["shares"], str(table.about["sweep"])
@@ -34,7 +34,7 @@ def write_junit(path: Path, table: Table) -> None:
 
 
 def _worst(
-    table: Table, margins: "np.ndarray[tuple[int], np.dtype[np.float64]]"
+    table: MachineTable, margins: "np.ndarray[tuple[int], np.dtype[np.float64]]"
 ) -> str:
     order = np.argsort(np.where(np.isnan(margins), -np.inf, margins), kind="stable")
     lines = [

@@ -8,9 +8,8 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-GRACE_S = (
-    5.0  # extra time until the kernel ends a worker whose code cannot be interrupted
-)
+# extra time until the kernel ends a worker whose code cannot be interrupted
+GRACE_S = 5.0
 _SILENCE = Path(os.devnull).open("w", encoding="utf-8", errors="replace")  # noqa: SIM115
 """Never closed: controllers may keep it, and overlapping threads may restore it."""
 

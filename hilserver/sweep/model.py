@@ -61,7 +61,7 @@ class Distribution(Section):
         return self
 
 
-class Source(Section):
+class MachineSource(Section):
     """Where the machines come from."""
 
     findings: Path | None = Field(
@@ -114,7 +114,7 @@ class DriveConfig(Section):
         return self
 
 
-class ControllerConfig(Section):
+class TestedController(Section):
     """The controller under test: a block, a Python object or a process."""
 
     block: str | None = Field(
@@ -185,12 +185,14 @@ class Sweep(Section):
     config: Path | None = Field(
         None, description="configuration of the robot; null: that of the command"
     )
-    from_: Source = Field(alias="from", description="where the machines come from")
+    from_: MachineSource = Field(
+        alias="from", description="where the machines come from"
+    )
     faults: tuple[FaultShare, ...] = Field(
         (), max_length=50, description="faults that some of them have"
     )
     drive: DriveConfig = Field(description="what the machines do")
-    controller: ControllerConfig | None = Field(
+    controller: TestedController | None = Field(
         None, description="null: only the scenario"
     )
     require: tuple[Requirement, ...] = Field(

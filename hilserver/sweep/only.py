@@ -19,14 +19,14 @@ from hilserver.faults.scenario import MAX_STEPS, Play, Scenario, Step, as_yaml
 from hilserver.replay.simulation import Simulation
 from hilserver.sweep.batch import rig_for
 from hilserver.sweep.configuration import machine_config
-from hilserver.sweep.prepare import Machine, Prepared
-from hilserver.sweep.rig import Outcome, judge_of, margins_of, scenario_of
+from hilserver.sweep.prepare import PreparedSweep, SentMachine
+from hilserver.sweep.rig import MachineOutcome, judge_of, margins_of, scenario_of
 
 CONFIG, SCENARIO = "config.yaml", "scenario.yaml"
 RECORDING, MARGINS = "recording.mcap", "margins.json"
 
 
-def drive_again(prepared: Prepared, index: int, folder: Path) -> Outcome:
+def drive_again(prepared: PreparedSweep, index: int, folder: Path) -> MachineOutcome:
     """Write configuration, scenario, recording and margins of one machine; return its outcome.
 
     FailedError if there is no such machine, or the daemon's drive differs from the sweep's.
@@ -58,7 +58,7 @@ def drive_again(prepared: Prepared, index: int, folder: Path) -> Outcome:
 
 
 async def _record(
-    prepared: Prepared, machine: Machine, scenario: Scenario, folder: Path
+    prepared: PreparedSweep, machine: SentMachine, scenario: Scenario, folder: Path
 ) -> tuple[float, ...]:
     """Play the scenario with the written configuration; return the margins of the recording."""
     job, assembly = prepared.job, assemble(folder / CONFIG)
@@ -82,7 +82,9 @@ async def _record(
 
 
 def _scenario(
-    prepared: Prepared, machine: Machine, written: list[tuple[int, dict[str, Any]]]
+    prepared: PreparedSweep,
+    machine: SentMachine,
+    written: list[tuple[int, dict[str, Any]]],
 ) -> Scenario:
     """Return the scenario played, with a controller's commands as steps."""
     base, period_s = prepared.job.scenario, prepared.assembly.base_period_ns * 1e-9

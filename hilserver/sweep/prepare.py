@@ -37,15 +37,15 @@ from hilserver.plant.terms import TERMS, main_part
 from hilserver.replay.simulation import quiet
 from hilserver.requirements import Judge
 from hilserver.small_file import read_small
-from hilserver.sweep.draws import Draws, Joint, root_of
-from hilserver.sweep.model import ControllerConfig, Source, Sweep
+from hilserver.sweep.draws import Draws, JointDraw, root_of
+from hilserver.sweep.model import MachineSource, Sweep, TestedController
 
 PATH_ERROR = "path.error_m"
 _MOST_BYTES = 50_000_000
 
 
 @dataclass(frozen=True)
-class Machine:
+class SentMachine:
     """One machine, in the form that is sent to a worker."""
 
     index: int
@@ -62,7 +62,7 @@ class Machine:
 
 
 @dataclass(frozen=True)
-class Job:
+class SweepJob:
     """What all machines of a sweep share, in the form that is sent to a worker."""
 
     key: str  # hash of all that decides a machine's result, except its index
@@ -76,10 +76,10 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Prepared:
+class PreparedSweep:
     """A sweep that can run."""
 
-    job: Job
+    job: SweepJob
     # the robot's configuration with the controller, as `hilserver run` takes it
     user_config: Config
     assembly: Assembly
@@ -93,7 +93,7 @@ class Prepared:
         """The file."""
         return self.job.sweep
 
-    def machine(self, index: int) -> Machine:
+    def machine(self, index: int) -> SentMachine:
         """Return the machine with an index, the same on every computer."""
         values, seed = self.draws.values(index), self.draws.plant_seed(index)
         faults = tuple(self.draws.faults_of(index))
@@ -101,9 +101,9 @@ class Prepared:
             robot = replace(self.robot_with(values), seed=seed)
             p, x = pack(robot).numbers, initial_state(robot).numbers
         except PlantError as error:
-            return Machine(index, seed, values, faults, refused=str(error))
+            return SentMachine(index, seed, values, faults, refused=str(error))
         state = {int(i): float(x[i]) for i in np.flatnonzero(x)}
-        return Machine(
+        return SentMachine(
             index, seed, values, faults, dict(robot.terms), np.array(p), state
         )
 
@@ -119,7 +119,7 @@ class Prepared:
         return with_values(self.robot, own, geometric_gain(self.robot))
 
 
-def prepare(path: Path, config_path: Path | None = None) -> Prepared:
+def prepare(path: Path, config_path: Path | None = None) -> PreparedSweep:
     """Load a sweep and check all that it names; ConfigError has a line per complaint."""
     sweep, path = load(path, Sweep), path.resolve()
     if config_path is None and sweep.config is not None:
@@ -138,7 +138,7 @@ def prepare(path: Path, config_path: Path | None = None) -> Prepared:
     derived = () if sweep.drive.path is None else (PATH_ERROR,)
     Judge(sweep.require, assembly.table, path, derived)
     _check_times(sweep, path, n_ticks * assembly.base_period_ns * 1e-9)
-    job = Job(
+    job = SweepJob(
         _key(sweep, config, scenario, findings, path),
         assembly.config,
         folder,
@@ -149,7 +149,7 @@ def prepare(path: Path, config_path: Path | None = None) -> Prepared:
         n_ticks,
     )
     robot = assembly.robot
-    return Prepared(job, with_controller, assembly, robot, table, draws, left_out)
+    return PreparedSweep(job, with_controller, assembly, robot, table, draws, left_out)
 
 
 def _assembled(
@@ -157,7 +157,7 @@ def _assembled(
     folder: Path,
     patch: Patch | None,
     path: Path,
-    controller: ControllerConfig | None,
+    controller: TestedController | None,
 ) -> Assembly:
     """Assemble the robot with its controller, and nothing that listens or connects."""
     with placed(path, () if controller is None else ("controller",)):
@@ -171,7 +171,7 @@ def _assembled(
 
 
 def _with_controller(
-    config: Config, controller: ControllerConfig | None, path: Path
+    config: Config, controller: TestedController | None, path: Path
 ) -> Config:
     config = config.changed(control={"source": "scenario"})
     if controller is None or controller.block is None:
@@ -224,7 +224,7 @@ def _check_times(sweep: Sweep, path: Path, duration_s: float) -> None:
 
 
 def _findings(
-    source: Source, path: Path, config: Config
+    source: MachineSource, path: Path, config: Config
 ) -> tuple[tuple[Path, Findings] | None, Patch | None]:
     if source.findings is None:
         return None, None
@@ -257,7 +257,7 @@ def _findings(
 
 def _joint(
     found: tuple[Path, Findings] | None, path: Path
-) -> tuple[Joint | None, tuple[str, ...]]:
+) -> tuple[JointDraw | None, tuple[str, ...]]:
     if found is None or found[1].joint is None:
         return None, ()
     joint, where = found[1].joint, place(path, ("from", "findings"))
@@ -273,7 +273,7 @@ def _joint(
         root = root_of(np.array(joint.covariance)[np.ix_(mine, mine)])
     except (ValueError, IndexError) as error:
         raise ConfigError(f"{where}{found[0]}: its covariance {error}") from None
-    return Joint(names, np.array(joint.value)[mine], root), left_out
+    return JointDraw(names, np.array(joint.value)[mine], root), left_out
 
 
 def _draws(
@@ -281,7 +281,7 @@ def _draws(
     path: Path,
     assembly: Assembly,
     table: Mapping[str, Parameter],
-    joint: Joint | None,
+    joint: JointDraw | None,
 ) -> Draws:
     nominal = read(assembly.robot)
     for block in assembly.composition.blocks:

@@ -22,16 +22,16 @@ from hilserver.program.own_python import described, load_callable
 from hilserver.requirements import CheckError, Drive, Judge
 from hilserver.scheduler.faults import SLICE, fault_of
 from hilserver.signals import SignalTable, State
-from hilserver.sweep.controllers import Driver, WrongCommand
+from hilserver.sweep.controllers import ControllerDriver, WrongCommand
 from hilserver.sweep.limits import OutOfTime, limited
 from hilserver.sweep.loop import run_ticks
-from hilserver.sweep.prepare import PATH_ERROR, Job, Machine
+from hilserver.sweep.prepare import PATH_ERROR, SentMachine, SweepJob
 
 RING_FRAMES, QUEUE_ROWS = 16, 1 << 15
 
 
 @dataclass(frozen=True)
-class Outcome:
+class MachineOutcome:
     """What became of a machine."""
 
     index: int
@@ -53,7 +53,7 @@ class _Broken(Exception):
 class Rig:
     """One robot that becomes each machine of a job in turn."""
 
-    def __init__(self, job: Job) -> None:
+    def __init__(self, job: SweepJob) -> None:
         self.job = job
         assembly = assemble_config(job.config, job.folder)
         self._period_ns = assembly.base_period_ns
@@ -75,7 +75,7 @@ class Rig:
         self._stage()
         self._fresh = self._image.words.copy()
 
-    def _driver(self, assembly: Assembly) -> Driver | None:
+    def _driver(self, assembly: Assembly) -> ControllerDriver | None:
         controller = self.job.sweep.controller
         if controller is None or controller.python is None:
             return None
@@ -85,19 +85,19 @@ class Rig:
         self._every = max(
             round((controller.every_ms or 0.0) * 1e6 / self._period_ns), 1
         )
-        return Driver(make, self._image, assembly.table, leases, period_s)
+        return ControllerDriver(make, self._image, assembly.table, leases, period_s)
 
-    def drive(self, machine: Machine) -> Outcome:
+    def drive(self, machine: SentMachine) -> MachineOutcome:
         """Drive one machine and judge it; whatever its controller does, this returns."""
         if machine.p is None:
-            return Outcome(machine.index, refused=machine.refused)
+            return MachineOutcome(machine.index, refused=machine.refused)
         try:
             with limited(self.job.sweep.limits.time_s):
                 self._begin(machine, machine.p)
                 self._run()
                 columns = dict(zip(self._kept, self._values, strict=True))
                 margins = margins_of(self.job, self._judge, self._period_ns, columns)
-                return Outcome(machine.index, margins)
+                return MachineOutcome(machine.index, margins)
         except OutOfTime:
             error = f"took longer than {self.job.sweep.limits.time_s:g} s"
         except MemoryError:
@@ -113,9 +113,9 @@ class Rig:
         finally:
             if self.driver is not None:
                 self.driver.end()
-        return Outcome(machine.index, error=error)
+        return MachineOutcome(machine.index, error=error)
 
-    def _begin(self, machine: Machine, packed: NDArray[np.float64]) -> None:
+    def _begin(self, machine: SentMachine, packed: NDArray[np.float64]) -> None:
         """Make the robot that machine, before its first tick."""
         image, regions = self._image, self._image.layout.regions
         image.words[:] = self._fresh
@@ -187,7 +187,7 @@ class Rig:
         return [] if self.driver is None else self.driver.written
 
 
-def judge_of(job: Job, table: SignalTable) -> tuple[Judge, tuple[str, ...]]:
+def judge_of(job: SweepJob, table: SignalTable) -> tuple[Judge, tuple[str, ...]]:
     """Return the judge of a drive, and the signals to keep for it and for those it derives."""
     if job.sweep.drive.path is None:
         judge = Judge(job.sweep.require, table, job.path)
@@ -198,7 +198,7 @@ def judge_of(job: Job, table: SignalTable) -> tuple[Judge, tuple[str, ...]]:
 
 
 def margins_of(
-    job: Job, judge: Judge, period_ns: int, columns: Mapping[str, Array]
+    job: SweepJob, judge: Judge, period_ns: int, columns: Mapping[str, Array]
 ) -> tuple[float, ...]:
     """Return the margins of a drive from the values of every tick, in the requirements' order."""
     own = dict(columns)
@@ -231,7 +231,7 @@ def distance_to_way(x_m: Array, y_m: Array, way: Array) -> Array:
     return distance
 
 
-def scenario_of(scenario: Scenario, machine: Machine) -> Scenario:
+def scenario_of(scenario: Scenario, machine: SentMachine) -> Scenario:
     """Return the scenario with the machine's faults."""
     own = tuple(fault for _, fault in machine.faults)
     return scenario.changed(faults=(*scenario.faults, *own)) if own else scenario

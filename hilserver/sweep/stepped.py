@@ -23,8 +23,8 @@ from hilserver.requirements import CheckError
 from hilserver.scheduler.faults import fault_of
 from hilserver.signals import Signal, State, ValueType
 from hilserver.sweep.configuration import machine_config
-from hilserver.sweep.prepare import Job, Machine
-from hilserver.sweep.rig import Outcome, judge_of, margins_of, scenario_of
+from hilserver.sweep.prepare import SentMachine, SweepJob
+from hilserver.sweep.rig import MachineOutcome, judge_of, margins_of, scenario_of
 from hilserver.tasks import first_of
 
 ENDPOINT, SEED = "{endpoint}", "{seed}"
@@ -39,7 +39,7 @@ class _Failed(Exception):
 class Stepped:
     """Drives machines one after the other, each with a process of its own."""
 
-    def __init__(self, job: Job) -> None:
+    def __init__(self, job: SweepJob) -> None:
         setup_logging("ERROR")
         self.job = job
         # commands of the last machine's process, by the tick that latched them
@@ -47,17 +47,17 @@ class Stepped:
         assembly = assemble_config(job.config, job.folder)
         self._judge, self._kept = judge_of(job, assembly.table)
 
-    def drive(self, machine: Machine) -> Outcome:
+    def drive(self, machine: SentMachine) -> MachineOutcome:
         """Drive one machine and judge it; whatever its controller does, this returns."""
         self.written = []
         if machine.p is None:
-            return Outcome(machine.index, refused=machine.refused)
+            return MachineOutcome(machine.index, refused=machine.refused)
         try:
-            return Outcome(machine.index, asyncio.run(self._margins(machine)))
+            return MachineOutcome(machine.index, asyncio.run(self._margins(machine)))
         except (_Failed, NotStarted, CheckError) as problem:
-            return Outcome(machine.index, error=str(problem))
+            return MachineOutcome(machine.index, error=str(problem))
 
-    async def _margins(self, machine: Machine) -> tuple[float, ...]:
+    async def _margins(self, machine: SentMachine) -> tuple[float, ...]:
         """Drive and return the margins; _Failed if there are none."""
         job = self.job
         config = Config.model_validate(machine_config(job.config, job.folder, machine))
@@ -74,7 +74,7 @@ class Stepped:
         return margins_of(job, self._judge, assembly.base_period_ns, columns)
 
     def _guest(
-        self, daemon: Daemon, machine: Machine
+        self, daemon: Daemon, machine: SentMachine
     ) -> contextlib.AbstractAsyncContextManager[Guest]:
         """Run the controller while the context lasts; processes that it started end with it."""
         given = self.job.sweep.controller
@@ -115,10 +115,8 @@ class _Watch:
         self._next = daemon.image.head
         self.values = np.zeros((len(kept), n_ticks))
         self.written: list[tuple[int, dict[str, Any]]] = []
-        self.over, self.problem = (
-            asyncio.Event(),
-            "",
-        )  # set by the last tick, or by a problem
+        # set by the last tick, or by a problem
+        self.over, self.problem = asyncio.Event(), ""
         daemon.scheduler.after_batch.append(self._look)
 
     @property

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from hilserver.errors import FailedError, LogError
 from hilserver.program.whole_file import whole, write_whole
-from hilserver.sweep.journal import Journal
-from hilserver.sweep.prepare import Prepared
+from hilserver.sweep.journal import SweepJournal
+from hilserver.sweep.prepare import PreparedSweep
 
 PASSED, FAILED, ERROR, REFUSED = STATUSES = ("passed", "failed", "error", "refused")
 SUMMARY: Final = "summary.json"
@@ -23,7 +23,7 @@ _TEXTS = ("status", "message", "computer")
 
 
 @dataclass(frozen=True)
-class Table:
+class MachineTable:
     """One row per machine."""
 
     # shape (n,)
@@ -37,9 +37,8 @@ class Table:
     status: list[str]
     message: list[str]
     computer: list[str]
-    about: Mapping[str, Any] = field(
-        default_factory=dict
-    )  # words about the sweep, see `summary`
+    # words about the sweep, see `summary`
+    about: Mapping[str, Any] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.index)
@@ -77,7 +76,9 @@ class Table:
         }
 
 
-def table_of(prepared: Prepared, journal: Journal, indices: range) -> Table:
+def table_of(
+    prepared: PreparedSweep, journal: SweepJournal, indices: range
+) -> MachineTable:
     """Return the finished machines, in the order of the indices."""
     found = [index for index in indices if index in journal.done]
     draws, names = prepared.draws, prepared.draws.names
@@ -99,7 +100,7 @@ def table_of(prepared: Prepared, journal: Journal, indices: range) -> Table:
         message.append(outcome.refused or outcome.error)
     titles = [item.fault.title for item in draws.faults]
     titles = [t if t not in titles[:k] else f"{t} ({k})" for k, t in enumerate(titles)]
-    return Table(
+    return MachineTable(
         np.array(found, dtype=np.int64),
         np.array([draws.plant_seed(index) for index in found], dtype=np.int64),
         dict(zip(names, values, strict=True)),
@@ -112,7 +113,7 @@ def table_of(prepared: Prepared, journal: Journal, indices: range) -> Table:
     )
 
 
-def summary(prepared: Prepared) -> dict[str, Any]:
+def summary(prepared: PreparedSweep) -> dict[str, Any]:
     """Return what a report states about the sweep, in addition to the table."""
     sweep = prepared.sweep
     return {
@@ -133,14 +134,14 @@ def summary(prepared: Prepared) -> dict[str, Any]:
     }
 
 
-def _unit(prepared: Prepared, signal: str | None) -> str:
+def _unit(prepared: PreparedSweep, signal: str | None) -> str:
     if signal is None:
         return ""
     signals = prepared.assembly.table
     return signals[signal].unit if signal in signals else "m"  # the distance to the way
 
 
-def write_table(folder: Path, table: Table) -> Path:
+def write_table(folder: Path, table: MachineTable) -> Path:
     """Write the table, as Parquet where pyarrow is installed, else as CSV; return the file."""
     text = json.dumps(table.about, indent=1) + "\n"
     write_whole(folder / SUMMARY, text.encode())
@@ -155,7 +156,7 @@ def write_table(folder: Path, table: Table) -> Path:
     return path
 
 
-def _write_csv(path: Path, table: Table) -> Path:
+def _write_csv(path: Path, table: MachineTable) -> Path:
     columns = table.columns()
     with (
         whole(path) as partial,
@@ -168,7 +169,7 @@ def _write_csv(path: Path, table: Table) -> Path:
     return path
 
 
-def read_table(folder: Path) -> Table:
+def read_table(folder: Path) -> MachineTable:
     """Return the result of a sweep from its folder.
 
     LogError if there is none, or it cannot be read.
@@ -184,7 +185,7 @@ def read_table(folder: Path) -> Table:
         k: np.array(v, dtype=np.float64) for k, v in columns.items() if k not in _TEXTS
     }
     names = (*about["of_one_machine"], *about["population"])
-    return Table(
+    return MachineTable(
         np.array(columns["index"], dtype=np.int64),
         np.array(columns["seed"], dtype=np.int64),
         {name: numbers[name] for name in names},

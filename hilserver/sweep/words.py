@@ -11,14 +11,14 @@ from hilserver.sweep.estimates import (
     paired_p,
 )
 from hilserver.sweep.model import Distribution
-from hilserver.sweep.prepare import Prepared
-from hilserver.sweep.rig import Outcome
-from hilserver.sweep.table import ERROR, PASSED, REFUSED, Table
+from hilserver.sweep.prepare import PreparedSweep
+from hilserver.sweep.rig import MachineOutcome
+from hilserver.sweep.table import ERROR, PASSED, REFUSED, MachineTable
 
 MOST_TRIED = 1000  # machines drawn to estimate how many cannot be built
 
 
-def headline(table: Table) -> str:
+def headline(table: MachineTable) -> str:
     """Return a sentence on the share that passes."""
     n = len(table) - table.count(REFUSED)
     if n == 0:
@@ -29,7 +29,7 @@ def headline(table: Table) -> str:
     return f"{passed} of {n} machines pass: {100 * passed / n:.1f} %"
 
 
-def details(table: Table) -> str:
+def details(table: MachineTable) -> str:
     """Return how certain the share is, and what became of the other machines."""
     n = len(table) - table.count(REFUSED)
     low, high = exact_interval(table.count(PASSED), n)
@@ -41,7 +41,7 @@ def details(table: Table) -> str:
     return text
 
 
-def scope(table: Table) -> str:
+def scope(table: MachineTable) -> str:
     """Return whether the share concerns one machine or many."""
     one, many = table.about["of_one_machine"], table.about["population"]
     if one and many:
@@ -61,7 +61,9 @@ def scope(table: Table) -> str:
     )
 
 
-def plan(prepared: Prepared, outcome: Outcome, seconds: float, workers: int) -> str:
+def plan(
+    prepared: PreparedSweep, outcome: MachineOutcome, seconds: float, workers: int
+) -> str:
     """Return what a sweep would do, and how long it would take."""
     sweep, draws = prepared.sweep, prepared.draws
     tried = min(sweep.machines, MOST_TRIED)
@@ -99,7 +101,7 @@ def _drawn(name: str, draws: Draws) -> str:
     return f"normal, mean {mean:g}, sd {distribution.sd:g}"
 
 
-def compare(a: Table, b: Table) -> str:
+def compare(a: MachineTable, b: MachineTable) -> str:
     """Return what differs between two sweeps of the same machines, as text.
 
     LogError if the machines differ.
@@ -136,7 +138,7 @@ def compare(a: Table, b: Table) -> str:
     return "\n".join(lines)
 
 
-def _shared(a: Table, b: Table) -> tuple[list[int], list[int]]:
+def _shared(a: MachineTable, b: MachineTable) -> tuple[list[int], list[int]]:
     """Return the rows of the machines that are in both."""
     rows = {int(index): row for row, index in enumerate(b.index)}
     pairs = [(row, rows[int(i)]) for row, i in enumerate(a.index) if int(i) in rows]

@@ -92,12 +92,10 @@ class Hil:
 
     def __init__(self, daemon: Daemon, mode: Mode, folder: Path | None = None) -> None:
         self.folder = folder  # of the test, in which its controller runs
-        self.daemon = (
-            daemon  # everything else: its OPC UA server, its control, its events
-        )
-        self.mode = (
-            mode  # ``virtual``: time stands still between steps. ``realtime``: it runs
-        )
+        # everything else: its OPC UA server, its control, its events
+        self.daemon = daemon
+        # ``virtual``: time stands still between steps. ``realtime``: it runs
+        self.mode = mode
         self.source = daemon.gate.owner
         self.tap, self.tape = Tap(daemon.image), Tape(daemon)
         self.journal = Journal()

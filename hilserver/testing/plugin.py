@@ -142,9 +142,8 @@ def pytest_pycollect_makeitem(
         )
     if is_generator:
         obj = advancing(obj, collector.config)
-        setattr(
-            collector.obj, name, obj
-        )  # pytest fetches the function again by its name
+        # pytest fetches the function again by its name
+        setattr(collector.obj, name, obj)
     elif not inspect.iscoroutinefunction(obj) or tests[0].get_closest_marker("asyncio"):
         return made
     return collector.ihook.pytest_pycollect_makeitem(

@@ -8,8 +8,8 @@ from typing import Any, Final
 
 from hilserver.daemon.daemon import Daemon
 from hilserver.errors import ControlRefused
-from hilserver.io.recorder.source import Source
-from hilserver.logs import Segmented, State, open_writer
+from hilserver.io.recorder.source import FrameSource
+from hilserver.logs import RecordedState, Segmented, open_writer
 from hilserver.logs.provenance import make_run
 
 KEPT_FRAMES: Final = 60_000
@@ -24,12 +24,12 @@ class Tape:
 
     def __init__(self, daemon: Daemon) -> None:
         self._daemon = daemon
-        self._source = Source(daemon.image.name, is_inside=True)
+        self._source = FrameSource(daemon.image.name, is_inside=True)
         self._batches: deque[Segmented] = deque()
         self._n_frames = self._n_taken = self._since_state = 0
         self._many = min(MANY_FRAMES, daemon.image.control.ring_length // 4)
         first = self._source.first_state()
-        self._states: deque[State] = deque([] if first is None else [first])
+        self._states: deque[RecordedState] = deque([] if first is None else [first])
         # commands, and the number of the first frame in which each acts
         self._commands: deque[tuple[int, Mapping[str, Any]]] = deque(
             maxlen=MOST_COMMANDS

@@ -100,9 +100,8 @@ def test_tyres_that_grip_across_are_a_rotation_gain(tmp_path):
     assert set(named.causes) <= {"rotation_gain", "friction_anisotropy"}
     found = named.parameters["rotation_gain"]
     low, high = found.ci95
-    turning = (
-        1.0 / RobotParameters().k_om - 1.0
-    )  # K_om of this body is 1.0 (tests of turning)
+    # K_om of this body is 1.0 (tests of turning)
+    turning = 1.0 / RobotParameters().k_om - 1.0
     assert low < turning < high or found.value == pytest.approx(turning, rel=0.1)
     gain = findings.total_gain["yaw_rad"]
     assert gain.ratio > 3.0

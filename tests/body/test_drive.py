@@ -121,6 +121,5 @@ def test_a_mecanum_body_drives_like_its_kinematics(twist):
     seen = [body.run(0.002, *left, *right).velocity for _ in range(100)]
     size = max(abs(part) for part in twist)
     assert np.mean(seen, axis=0) == pytest.approx(twist, abs=0.01 * size)
-    assert np.ptp(seen, axis=0) == pytest.approx(
-        (0.0, 0.0, 0.0), abs=0.001 * size
-    )  # no ripple
+    # no ripple
+    assert np.ptp(seen, axis=0) == pytest.approx((0.0, 0.0, 0.0), abs=0.001 * size)

@@ -395,9 +395,8 @@ def test_two_daemons_with_one_image_name(tmp_path):
         assert first.wait(600) == 0
     assert second.returncode == 1
     assert f"another hilserver uses the process image '{name}'" in second.stderr
-    assert (
-        "unknown key 'plant.wheel_radius'" in mistaken.stderr
-    )  # before, the other one was blamed
+    # before, the other one was blamed
+    assert "unknown key 'plant.wheel_radius'" in mistaken.stderr
     assert mistaken.returncode == 78
 
 

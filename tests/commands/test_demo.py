@@ -56,9 +56,8 @@ def test_a_foreign_client_sees_an_eight_takes_control_and_drives(demo):
         check=False,
     )
     assert watch.returncode == 0, watch.stderr
-    seen = json.loads(
-        watch.stdout.strip().splitlines()[-1]
-    )  # node-opcua warns before it
+    # node-opcua warns before it
+    seen = json.loads(watch.stdout.strip().splitlines()[-1])
     poses = seen["poses"]
     off_m = max(distance_to(eight, x, y) for x, y, _ in poses[50:])
     assert off_m < 0.5, "more than a controller that a busy computer held up"

@@ -10,7 +10,7 @@ from hilserver.commands import main
 from hilserver.diagnosis import pipeline
 from hilserver.diagnosis.schema.evidence import Diagnosis
 from hilserver.errors import LogError
-from hilserver.measured.data import MeasuredLog, Source
+from hilserver.measured.data import LogSource, MeasuredLog
 from hilserver.program.progress import Progress
 from tests.diagnosis.sample import evidence, findings, nothing_found
 
@@ -189,7 +189,7 @@ def test_groups_reach_the_engine(stages, tmp_path, monkeypatch, capsys):
         return Diagnosis(findings(), evidence(300))
 
     def read(paths, mapping, sampling):
-        return MeasuredLog(tuple(Source(p.name, p.stem) for p in paths), {}, ())
+        return MeasuredLog(tuple(LogSource(p.name, p.stem) for p in paths), {}, ())
 
     monkeypatch.setattr(pipeline, "diagnose_groups", judge)
     monkeypatch.setattr(pipeline, "read_measured", read)

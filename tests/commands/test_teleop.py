@@ -14,7 +14,7 @@ import pytest_asyncio
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hilserver.commands.teleop import Driver
+from hilserver.commands.teleop import KeyDriver
 from hilserver.commands.teleop_keys import FIRST_S, REPEAT_S, Hold, Key, KeyReader, Word
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
@@ -301,7 +301,7 @@ async def test_letting_go_is_at_the_plant_within_200_ms(terminal, protocol):
 
 def test_the_speed_at_the_start_is_one_that_the_robot_can_go():
     fastest = {"linear": 0.2, "turn": 2.0, "lateral": 0.0}
-    driver = Driver(None, 0.3, 0.8, fastest)
+    driver = KeyDriver(None, 0.3, 0.8, fastest)
     assert driver.command(frozenset({"up"}))["twist.linear_m_s"] == 0.2
     driver.take("+" * 40)
     moving = driver.command(frozenset({"up", "left"}))

@@ -4,7 +4,7 @@ import pytest
 from pydantic import ValidationError
 
 from hilserver.config.root import Config
-from hilserver.config.s7 import Address, Endpoint, Place
+from hilserver.config.s7 import Address, BlockPlace, Endpoint
 
 PEER = {
     "name": "plc",
@@ -28,8 +28,8 @@ def field(at, kind="REAL", signal="a"):
 
 
 def test_addresses_are_those_of_node_red():
-    assert Address.parse("DB1,REAL4") == (1, Place("REAL", 4))
-    assert Address.parse("db20,x6.1") == (20, Place("BOOL", 6, 1))
+    assert Address.parse("DB1,REAL4") == (1, BlockPlace("REAL", 4))
+    assert Address.parse("db20,x6.1") == (20, BlockPlace("BOOL", 6, 1))
     assert Address.parse("DB3,DI8") == Address.parse("DB3,DINT8")
     assert Endpoint.parse("s7://plc:1102/0/2") == ("plc", 1102, 0, 2)
     assert Endpoint.parse("s7://[::1]/0/1") == ("::1", 102, 0, 1)
@@ -115,5 +115,5 @@ def test_what_is_no_layout_is_named(section, words):
 def test_bits_share_a_byte():
     bits = [field(f"4.{bit}", "BOOL", f"b{bit}") for bit in range(8)]
     config = Config.model_validate({"s7": layout(field(0), *bits)})
-    assert config.s7.server.blocks[1][8].place == Place("BOOL", 4, 7)
+    assert config.s7.server.blocks[1][8].place == BlockPlace("BOOL", 4, 7)
     assert not config.s7.drives

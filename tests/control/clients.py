@@ -172,10 +172,8 @@ def _teleop(terminal, url, speed_m_s):
     fcntl.ioctl(file, termios.TIOCSCTTY, 0)
     for standard in (0, 1, 2):
         os.dup2(file, standard)
-    sys.stdin, sys.stdout = (
-        os.fdopen(0),
-        os.fdopen(1, "w"),
-    )  # multiprocessing has closed its own
+    # multiprocessing has closed its own
+    sys.stdin, sys.stdout = os.fdopen(0), os.fdopen(1, "w")
     os._exit(main(["teleop", "--endpoint", url, "--speed", str(speed_m_s)]))
 
 
@@ -248,9 +246,8 @@ class _ByHand(_Source):
         m_s, self.m_s = self.m_s, 0.0
         if self._speaking is None:
             await self.say()
-            await asyncio.sleep(
-                2 * self.every_s
-            )  # of two messages at once the newer one counts
+            # of two messages at once the newer one counts
+            await asyncio.sleep(2 * self.every_s)
         self.m_s = m_s
         await super().hold()
 

@@ -192,9 +192,8 @@ class Stage:
 
     def _cut(self, source):
         if source == "peer":
-            time.sleep(
-                SETTLED_S
-            )  # a link of less comes back later than what is missing is stale
+            # a link of less comes back later than what is missing is stale
+            time.sleep(SETTLED_S)
         self.clients[source].do("cut")
 
     def _killed(self, source):

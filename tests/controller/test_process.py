@@ -29,9 +29,8 @@ LIMIT_S = 100.0
 
 def test_a_pose_lives_only_while_its_stamp_moves():
     watch = PoseWatch(stale_s=0.5)
-    assert (
-        watch.observe((0.0, 0.0, 0.0), STAMP, 0.0) is None
-    )  # the node's own initial value
+    # the node's own initial value
+    assert watch.observe((0.0, 0.0, 0.0), STAMP, 0.0) is None
     later = STAMP + timedelta(seconds=1)
     assert watch.observe((1.0, 2.0, 3.0), later, 1.0) == Pose(1.0, 2.0, 3.0)
     assert watch.observe((1.0, 2.0, 3.0), later, 1.5) is not None

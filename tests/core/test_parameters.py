@@ -184,10 +184,8 @@ async def test_what_does_not_fit_together_is_refused_as_a_whole(core):
     assert set(refused) == set(unstable)
     assert "unstable" in refused["terms.rotation_gain"].text
     assert core.parameters.differing == {}
-    fitting = {
-        "plant.wheelbase_m": 0.03,
-        "plant.icr_offset_m": 0.01,
-    }  # neither would do alone
+    # neither would do alone
+    fitting = {"plant.wheelbase_m": 0.03, "plant.icr_offset_m": 0.01}
     assert core.parameters.write("test", {"plant.wheelbase_m": 0.03}) != {}
     assert core.parameters.write("test", fitting) == {}
     assert core.parameters.differing == fitting

@@ -215,9 +215,8 @@ async def test_a_scenario_that_cannot_begin_changes_nothing(run, hinder, why):
     hinder(core)
     owner = core.gate.owner
     with pytest.raises(ControlRefused) as refused:
-        core.stage().play(
-            scenario
-        )  # at once: while it waits, the plant takes what is queued
+        # at once: while it waits, the plant takes what is queued
+        core.stage().play(scenario)
     assert str(refused.value) == why
     assert (core.faults.names, core.gate.owner) == ("", owner)
 
@@ -256,9 +255,8 @@ async def test_a_recording_that_has_ended_by_itself_is_over(run, tmp_path):
             async with asyncio.timeout(120):
                 while recordings.view() is not None:  # noqa: ASYNC110 - a child ends it
                     await asyncio.sleep(0.05)
-            assert not (
-                tmp_path / name
-            ).exists()  # it could not begin: the disk is too full
+            # it could not begin: the disk is too full
+            assert not (tmp_path / name).exists()
             ended = told.pop()
             assert ended.name == "recording"
             assert str(ended.error).startswith(f"{name}: ")

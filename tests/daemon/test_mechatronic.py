@@ -110,10 +110,8 @@ async def test_at_a_wall_whatever_measures_the_robot_measures_its_body(driven_by
     body = {"enabled": True, "driven_by": driven_by, "sensors": "body"}
     config = {"mechatronic": body, "sensors": {"nav": {"enabled": True, **exact}}}
     async with build(assemble_config(Config.model_validate(config))) as core:
-        place = {
-            "internal.pose_request": 1.0,
-            "internal.pose_x_m": 4.0,
-        }  # the wall is at 5 m
+        # the wall is at 5 m
+        place = {"internal.pose_request": 1.0, "internal.pose_x_m": 4.0}
         assert core.image.push(
             [Row(core.table.slot(name), v) for name, v in place.items()]
         )

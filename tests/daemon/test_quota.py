@@ -104,9 +104,8 @@ def test_an_operator_logs_in_sees_and_stops_and_no_link_is_lost(
     """Before, a start of a minute said nothing, and a log-in at 5 % was near its limit of 20 s."""
     opcua, rest = config()
     with controller() as endpoint, control_group(share) as group:
-        peer = demo_peer(endpoint).changed(
-            on_stale="zero"
-        )  # the robot has to wait for our Stop
+        # the robot has to wait for our Stop
+        peer = demo_peer(endpoint).changed(on_stale="zero")
         rest += f"peers: {json.dumps([peer.model_dump(mode='json')])}\n"
         monkeypatch.setenv(GROUP, str(group))
         began_s = time.monotonic()

@@ -7,6 +7,7 @@ from hilserver.diagnosis.catalogue.vocabulary import CAUSES
 from hilserver.diagnosis.findings.explain import separating_experiment
 from hilserver.diagnosis.schema.decisions import Decision, ScreenRow
 from hilserver.diagnosis.schema.evidence import (
+    ChannelSeries,
     Course,
     CutRow,
     Dependence,
@@ -14,7 +15,6 @@ from hilserver.diagnosis.schema.evidence import (
     FittedTerm,
     HorizonRow,
     Path,
-    Series,
     Similarity,
 )
 from hilserver.diagnosis.schema.findings import (
@@ -168,7 +168,7 @@ def evidence(n=18000, seed=1):
     noise = rng.normal(size=(6, n))
 
     def series(name, unit, measured, simulated, extended):
-        return Series(name, unit, t, measured, simulated, extended, span)
+        return ChannelSeries(name, unit, t, measured, simulated, extended, span)
 
     speed = v / 0.085 * 60 / (2 * np.pi)
     x = np.linspace(-3, 3, 24)

@@ -22,7 +22,7 @@ from hilserver.diagnosis.plan.manoeuvre import (
 )
 from hilserver.diagnosis.plan.null_log import (
     GROUPS,
-    Recording,
+    PlannedRecording,
     Studio,
     null_log,
     path_of,
@@ -49,7 +49,7 @@ CIRCLE = of_moves([(20, 30, 60)])
 
 
 def seen(*spans, recording=None):
-    recording = recording or Recording()
+    recording = recording or PlannedRecording()
     return look(spans, recording, Studio(ROBOT, 0, 2, lambda text, share: None))
 
 
@@ -109,7 +109,7 @@ def test_a_circle_at_one_speed_cannot_tell_nav_latency_from_side_slip():
 
 def test_what_is_not_recorded_is_not_judged():
     channels = (*GROUPS["speed"], *GROUPS["gyro"])
-    outlook = seen(CIRCLE, recording=Recording(channels))
+    outlook = seen(CIRCLE, recording=PlannedRecording(channels))
     assert outlook.not_judged["nav_scale"] == "no position in the log"
     assert outlook.not_judged["yaw_latency"] == "no navigation yaw in the log"
     assert any(
@@ -120,7 +120,7 @@ def test_what_is_not_recorded_is_not_judged():
 def test_twice_the_drive_shows_less_than_twice_as_small():
     # without the gyro: a late one shows in a few moments of a circle alone, and a cause that does
     # raises the critical value of all others
-    still = Recording((*GROUPS["speed"], *GROUPS["position"], *GROUPS["yaw"]))
+    still = PlannedRecording((*GROUPS["speed"], *GROUPS["position"], *GROUPS["yaw"]))
     once = seen(CIRCLE, recording=still).sizes["side_slip"].size
     four = seen(CIRCLE, CIRCLE, CIRCLE, CIRCLE, recording=still).sizes["side_slip"].size
     assert 0.35 < four / once < 0.75
@@ -159,14 +159,14 @@ def test_a_diagnosis_names_on_it_what_the_plan_promises(planned, cause):
     )
     spans = of_scenario(planned / SCENARIO, ROBOT, 40.0)
     log = null_log(
-        spans, ROBOT, Recording(), np.random.default_rng(3), {cause: reference}
+        spans, ROBOT, PlannedRecording(), np.random.default_rng(3), {cause: reference}
     )
     assert [f.causes for f in judge(log, ROBOT).findings.findings] == [(cause,)]
 
 
 def test_a_diagnosis_finds_nothing_in_the_null_log(planned):
     spans = of_scenario(planned / SCENARIO, ROBOT, 40.0)
-    log = null_log(spans, ROBOT, Recording(), np.random.default_rng(3))
+    log = null_log(spans, ROBOT, PlannedRecording(), np.random.default_rng(3))
     assert not judge(log, ROBOT).findings.findings
 
 

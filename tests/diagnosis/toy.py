@@ -12,7 +12,7 @@ from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.stack import make_stack
 from hilserver.measured.clock import cut
-from hilserver.measured.data import Channel, MeasuredLog, Source, Span
+from hilserver.measured.data import Channel, LogSource, MeasuredLog, Span
 from hilserver.plant.parameters import RobotParameters
 
 SIGNAL = "wheel.fl.speed_rpm"
@@ -39,7 +39,7 @@ def measured_log(values, *, edges=None, blocks=None, period_s=PERIOD_S):
         for k, (a, b) in enumerate(itertools.pairwise(edges))
     )
     channel = Channel(t_s, values, span)
-    return MeasuredLog((Source("toy.csv", "0" * 64),), {SIGNAL: channel}, spans)
+    return MeasuredLog((LogSource("toy.csv", "0" * 64),), {SIGNAL: channel}, spans)
 
 
 class LinearStage(DriveStage):

@@ -56,9 +56,8 @@ def test_from_set_points_the_configured_drive_turns_the_wheels():
     courses = run_models(recording(without=SPEEDS, **asked), ROBOT, NONE)
     assert not courses.are_measured
     assert courses.wheels_rpm[-1] == pytest.approx([3.0, 3.0, -45.0, -45.0], abs=0.1)
-    assert (
-        np.abs(courses.wheels_rpm[:, 3]).max() > 45.5
-    )  # it overshoots, as the loop does
+    # it overshoots, as the loop does
+    assert np.abs(courses.wheels_rpm[:, 3]).max() > 45.5
 
 
 @pytest.mark.parametrize("missing", [SPEEDS, (*TAG, GYRO)])

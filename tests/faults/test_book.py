@@ -144,9 +144,8 @@ def assert_faults_or_sentence(parse, given):
 
 @given(st.text(max_size=200) | st.binary(max_size=50).map(repr))
 def test_any_text_is_a_fault_or_one_sentence(text):
-    assert_faults_or_sentence(
-        lambda: parse_faults(text), given=0
-    )  # only an empty list is no error
+    # only an empty list is no error
+    assert_faults_or_sentence(lambda: parse_faults(text), given=0)
 
 
 @given(

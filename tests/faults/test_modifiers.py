@@ -7,7 +7,8 @@ from hilserver.plant.layout import WHEELS
 from hilserver.status import GOOD, GOOD_LOCAL_OVERRIDE, UNCERTAIN_NO_COMMUNICATION
 from tests.faults.rig import Rig
 
-INPUT = "measured.battery.voltage_v"  # nothing in the plant reads it: what goes in comes out
+# nothing in the plant reads it: what goes in comes out
+INPUT = "measured.battery.voltage_v"
 N = 60
 
 

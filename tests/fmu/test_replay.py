@@ -31,9 +31,8 @@ async def test_slices_that_were_late_are_late_again(fmus, tmp_path, given_up):
             core.image.push([Row(setpoint, 2.0 * turn)])
             if given_up and turn > TURNS // 2:
                 a[at.A_LIMIT] = 2
-            a[at.A_WAITS] = (
-                0  # these slices are over in a moment, and it sleeps for 5 ms in each
-            )
+            # these slices are over in a moment, and it sleeps for 5 ms in each
+            a[at.A_WAITS] = 0
             await core.scheduler.advance(3)
             a[at.A_WAITS] = 1
             await core.scheduler.advance(4)

@@ -107,9 +107,8 @@ def test_panels_have_their_own_place_and_number() -> None:
 def test_every_metric_is_on_the_dashboard() -> None:
     queries = " ".join(t["expr"] for panel in PANELS for t in panel["targets"])
     variables = " ".join(str(v["query"]) for v in DASHBOARD["templating"]["list"])
-    for_the_soak = {
-        "hil_asyncio_tasks"
-    }  # flat for months: an alert would say it, no picture
+    # flat for months: an alert would say it, no picture
+    for_the_soak = {"hil_asyncio_tasks"}
     shown = queries + variables
     missing = [
         m.name for m in METRICS if m.name not in shown and m.name not in for_the_soak

@@ -77,9 +77,8 @@ def running_daemon(
         prepare(folder)
     errors = (folder / "daemon.log").open("w+", encoding="utf-8")
     command = [sys.executable, "-m", program, "run", "-c", "config.yaml", *options]
-    env = os.environ | {
-        "PYTHONPATH": str(Path(__file__).parents[2])
-    }  # for programs of the tests
+    # for programs of the tests
+    env = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
     with (
         errors,
         subprocess.Popen(
@@ -93,9 +92,8 @@ def running_daemon(
         finally:
             process.kill()
             process.wait(600)
-            path_of(image).unlink(
-                missing_ok=True
-            )  # what a killed daemon leaves in /dev/shm
+            # what a killed daemon leaves in /dev/shm
+            path_of(image).unlink(missing_ok=True)
 
 
 def _addresses(process, log):

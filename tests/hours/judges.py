@@ -22,9 +22,8 @@ STOP_MS = 50  # Stop acts within so long of being read by the daemon
 LEASE_SLACK_MS = 80
 RAMP_TICKS = round(SAFE_RAMP_S * 1000)
 STEADY_TICKS = 5  # a ramp does not stay at a speed for so long
-CONTROLLER_LAG_MS = (
-    300  # from what a controller offers to what we read: a poll and the network
-)
+# from what a controller offers to what we read: a poll and the network
+CONTROLLER_LAG_MS = 300
 POLL_NS = 60 * MS  # a controller is read that often
 DONE_NS = 20 * MS
 JUMPING = {"Reset", "LoadSnapshot"}  # the plant, to another state
@@ -44,9 +43,8 @@ class Judges:
         self._rest: tuple[NDArray[np.int64], ...] | None = None
         # when the daemon heard of whom; filled by the life of the town
         self.heard_ns: dict[str, list[int]] = {}
-        self.owners: list[
-            tuple[int, str, str]
-        ] = []  # when control passed, from whom, to whom
+        # when control passed, from whom, to whom
+        self.owners: list[tuple[int, str, str]] = []
         self._judged: set[int] = set()
 
     def look(self) -> None:

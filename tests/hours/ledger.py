@@ -21,9 +21,8 @@ class Speed:
     kind: str
     lease_ms: float
     said: list[Mark] = field(default_factory=list)
-    said_ns: list[int] = field(
-        default_factory=list
-    )  # of a controller: when it was on offer
+    # of a controller: when it was on offer
+    said_ns: list[int] = field(default_factory=list)
 
 
 @dataclass

@@ -248,9 +248,8 @@ class Life:
         self.controller.is_silent = False
         begun_s = town.loop.time()
         self.controller.change()
-        user = Browser(
-            "the last", town, self.ledger
-        )  # outranks all that may still be there
+        # outranks all that may still be there
+        user = Browser("the last", town, self.ledger)
         speed = self.controller.speed
         while town.loop.time() < begun_s + PEACE_S:
             try:

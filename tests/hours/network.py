@@ -15,9 +15,8 @@ from typing import Any
 
 from tests.hours.loop import NS, VirtualLoop
 
-KERNEL_BYTES = (
-    32 * 1024
-)  # both buffers of a direction, beyond which a writer is held up
+# both buffers of a direction, beyond which a writer is held up
+KERNEL_BYTES = 32 * 1024
 DELAY_NS = (50_000, 3_000_000)
 CONNECT_NS = (100_000, 5_000_000)
 SYN_S = 120.0
@@ -66,9 +65,8 @@ class MemoryTransport(asyncio.Transport):
         self.is_vanished = False  # its computer is gone: nobody is told
         self.reads_slowly_ns = 0
         self._socket = _Socket(self)
-        self._unsent: deque[tuple[int, bytes, Mark | None]] = (
-            deque()
-        )  # from here to the other end
+        # from here to the other end
+        self._unsent: deque[tuple[int, bytes, Mark | None]] = deque()
         self._unsent_bytes = self._read_bytes = 0
         self._newest_ns = 0
         self._high = 64 * 1024
@@ -128,9 +126,8 @@ class MemoryTransport(asyncio.Transport):
             self._is_closing = True
             self._put(b"", None)
             if not self.get_write_buffer_size():
-                self.loop.arrive(
-                    self.loop.clock.now_ns, self.end
-                )  # the kernel sends the rest
+                # the kernel sends the rest
+                self.loop.arrive(self.loop.clock.now_ns, self.end)
 
     def abort(self) -> None:
         self._is_closing = True
@@ -262,13 +259,11 @@ class Network:
         self.listening: dict[int, _Server] = {}
         self.open: dict[MemoryTransport, None] = {}
         self.held_until_ns = 0  # nothing arrives before, anywhere
-        self.lags_ns: dict[
-            int, int
-        ] = {}  # how much later what a server at a port says arrives
+        # how much later what a server at a port says arrives
+        self.lags_ns: dict[int, int] = {}
         self.swallows: set[int] = set()  # ports whose computer does not answer
-        self.most_unsent: dict[
-            int, int
-        ] = {}  # bytes that a server kept for a client, by port
+        # bytes that a server kept for a client, by port
+        self.most_unsent: dict[int, int] = {}
         self.heard: Callable[[MemoryTransport], None] = lambda _at: None
         self._ports = itertools.count(40_000)
         self._thawing: dict[MemoryTransport, list[Callable[[], None]]] = {}

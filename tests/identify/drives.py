@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hilserver.measured.data import Channel, MeasuredLog, Source, Span
+from hilserver.measured.data import Channel, LogSource, MeasuredLog, Span
 from hilserver.plant.layout import WHEELS
 
 STEP_S = 1e-4
@@ -37,7 +37,7 @@ def measured(t_s, values, has_stamps=True):
     """One span with all channels at the same stamps."""
     span = np.zeros(len(t_s), dtype=np.int64)
     return MeasuredLog(
-        (Source("drive.csv", "0" * 64),),
+        (LogSource("drive.csv", "0" * 64),),
         {name: Channel(t_s, np.asarray(v, float), span) for name, v in values.items()},
         (Span(0, None, float(t_s[0]), float(t_s[-1])),),
         has_stamps,

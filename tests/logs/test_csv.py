@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hilserver.errors import LogError
-from hilserver.logs import State, open_writer, read_log
+from hilserver.logs import RecordedState, open_writer, read_log
 from hilserver.logs.csv_writer import meta_path
 from tests.logs.samples import NAMES, batch_of, ramp, run_of
 
@@ -57,7 +57,7 @@ def test_every_number_comes_back_to_the_bit(tmp_path_factory, numbers):
 
 
 def test_a_recording_says_where_it_comes_from_and_keeps_its_states(tmp_path):
-    state = State(0, 5, np.array([-1, 0, 2**62], dtype=np.int64))
+    state = RecordedState(0, 5, np.array([-1, 0, 2**62], dtype=np.int64))
     log = read_log(written(tmp_path / "a.csv", batch_of(ramp(10)), states=[state]))
     assert log.is_ours
     assert log.run["seed"] == 3
@@ -186,7 +186,7 @@ def test_a_damaged_file_beside_the_log_is_named(tmp_path, text):
 
 
 def test_a_damaged_state_is_named(tmp_path):
-    state = State(0, 0, np.zeros(3, dtype=np.int64))
+    state = RecordedState(0, 0, np.zeros(3, dtype=np.int64))
     path = written(tmp_path / "a.csv", batch_of(ramp(3)), states=[state])
     meta = json.loads(meta_path(path).read_text())
     meta["states"][0]["zlib_base64"] = "AAAA"

@@ -8,15 +8,13 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from hilserver.errors import LogError
-from hilserver.logs import State, open_writer, read_log
+from hilserver.logs import RecordedState, open_writer, read_log
 from hilserver.logs.message import make_layout
 from tests.logs.samples import NAMES, batch_of, ramp, run_of
 
 N_CHUNKS, CHUNK_FRAMES = 5, 20
-CONFIG, ATTACHMENT_HEAD = (
-    b"config.yaml",
-    29,
-)  # the first record after those that a reader needs
+# the first record after those that a reader needs
+CONFIG, ATTACHMENT_HEAD = b"config.yaml", 29
 BAD_WAITING = 0x80320000
 
 
@@ -24,12 +22,12 @@ def written(path):
     writer = open_writer(
         path, run_of(), range(len(NAMES)), utc_minus_monotonic_ns=10**18
     )
-    writer.add_state(State(0, 0, np.arange(3)))
+    writer.add_state(RecordedState(0, 0, np.arange(3)))
     for i in range(N_CHUNKS):
         first = i * CHUNK_FRAMES
         writer.write(batch_of(ramp(CHUNK_FRAMES, first), first=first))
         writer.flush()
-    writer.add_state(State(2, 50, np.arange(3)))
+    writer.add_state(RecordedState(2, 50, np.arange(3)))
     writer.close()
     return path
 

@@ -96,9 +96,8 @@ def test_foreign_numbers_survive_with_segments_blocks_and_gaps(tmp_path):
     with asammdf.MDF(tmp_path / "3.mf4") as mdf:
         speed = mdf.get(SPEED)
     assert speed.unit == "rpm"
-    assert (
-        np.diff(speed.timestamps) > 0
-    ).all()  # over both segments, as viewers need it
+    # over both segments, as viewers need it
+    assert (np.diff(speed.timestamps) > 0).all()
 
 
 def test_asammdf_and_another_reader_see_names_units_and_numbers(recording):

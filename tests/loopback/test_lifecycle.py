@@ -123,7 +123,8 @@ def names(folder):
 async def resources():
     """What a process holds beside memory."""
     await asyncio.sleep(0.05)
-    gc.collect()  # the memory of an image, hence its descriptor, goes with its last view
+    # the memory of an image, hence its descriptor, goes with its last view
+    gc.collect()
     ours = f"hilserver-auto-{os.getpid()}-"
     return {
         "tasks": len(asyncio.all_tasks()),

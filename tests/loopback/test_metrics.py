@@ -334,9 +334,8 @@ async def test_the_log_line_names_the_slice_as_the_cause(robot):
     wanted = {"kind": "long_run", "slice": "plant", "cause": "slice"}.items()
 
     async def is_named():
-        await a_long_slice(
-            robot
-        )  # a busy computer may stop the thread meanwhile: another cause
+        # a busy computer may stop the thread meanwhile: another cause
+        await a_long_slice(robot)
         return any(wanted <= line.items() for line in lines)
 
     with capture_logs() as lines:

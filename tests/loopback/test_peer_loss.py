@@ -103,9 +103,8 @@ async def test_ramp_is_the_safe_state_until_the_peer_is_back_and_reset_is_called
         slot = daemon.table.slot
         speeds = [abs(f.values[slot("wheel.fl.speed_rpm")]) for f in history]
         begin = [f.values[slot("internal.command")] for f in history].index(2.0)
-        ramp = round(
-            SAFE_RAMP_S * 1e3
-        )  # in ticks: what the wheels do hangs on no clock
+        # in ticks: what the wheels do hangs on no clock
+        ramp = round(SAFE_RAMP_S * 1e3)
         assert speeds[begin] > 45.0
         assert speeds[begin + ramp // 2] > 15.0, "a ramp, not a stop"
         assert max(speeds[begin + ramp + SETTLING_TICKS :]) < 1.0

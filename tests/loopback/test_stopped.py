@@ -15,7 +15,7 @@ import pytest
 from asyncua import ua
 
 from hilserver.image import ImageReader
-from hilserver.io.shield.protocol import Command, request
+from hilserver.io.shield.protocol import ShieldCommand, request
 from tests.helpers.daemons import free_port, running_daemon
 from tests.io.opcua_server.rig import RobotClient
 from tests.loopback.rig import wait_until
@@ -130,7 +130,10 @@ class Host:
         speeds = struct.pack(
             "<4h", *(round(100 * sign * rpm) for sign in (-1, -1, 1, 1))
         )
-        os.write(self._file, request(Command.ENABLE) + request(Command.SET_RPM, speeds))
+        os.write(
+            self._file,
+            request(ShieldCommand.ENABLE) + request(ShieldCommand.SET_RPM, speeds),
+        )
         with contextlib.suppress(BlockingIOError):
             os.read(self._file, 1 << 16)
 

@@ -11,7 +11,7 @@ import uvloop
 
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.daemon import Daemon
-from hilserver.io.shield.protocol import Command, request
+from hilserver.io.shield.protocol import ShieldCommand, request
 from tests.io.foxglove.test_endpoint import Viewer
 from tests.io.opcua_server.rig import RobotClient
 from tests.io.ros2.rig import claimed_domain
@@ -95,7 +95,7 @@ async def shield(daemon):
     part = daemon.part("shield")
     line = os.open(part.address, os.O_RDWR | os.O_NOCTTY)
     try:
-        os.write(line, request(Command.ENABLE))
+        os.write(line, request(ShieldCommand.ENABLE))
         answer = await asyncio.to_thread(os.read, line, 32)
     finally:
         os.close(line)

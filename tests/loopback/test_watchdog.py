@@ -126,9 +126,8 @@ async def test_the_heartbeat_goes_on_in_a_pause_as_often_as_the_time_out_needs()
         opcua={"enabled": False}, scheduler={"communication_timeout_ms": 80.0}
     )
     async with Daemon(assemble_config(config)) as daemon:
-        daemon.image.control.heartbeat_limit = (
-            0  # the beats count here, not who watches them
-        )
+        # the beats count here, not who watches them
+        daemon.image.control.heartbeat_limit = 0
         daemon.control.pause()
         seen = []
         while (

@@ -147,9 +147,8 @@ def test_frames_left_out_in_which_nothing_changes_give_the_same_samples():
     ticks = np.arange(4000)
     arrives = np.concatenate([[0], np.cumsum(rng.integers(18, 23, 180))])
     sample = np.searchsorted(arrives, ticks, side="right")
-    values = np.round(
-        rng.standard_normal(400)[sample], 1
-    )  # some are the same as before
+    # some are the same as before
+    values = np.round(rng.standard_normal(400)[sample], 1)
     commands = np.repeat(rng.standard_normal(400), 13)[: len(ticks)]
     changed = (np.diff(values, prepend=np.nan) != 0) | (
         np.diff(commands, prepend=np.nan) != 0
@@ -189,9 +188,8 @@ def test_samples_lie_where_their_source_took_them(tmp_path, late_ticks):
         assert len(log[name]) >= 99
     assert np.allclose(log[NAV].t_s, 0.1 * (log[NAV].values - 1.0), atol=1e-9)
     assert not log.on_ticks
-    assert (
-        "control.mode" not in log
-    )  # the robot says what it follows; ours is no input of it
+    # the robot says what it follows; ours is no input of it
+    assert "control.mode" not in log
 
 
 @pytest.mark.parametrize(
@@ -262,7 +260,6 @@ def test_set_points_of_some_wheels_alone_are_not_what_the_robot_follows(tmp_path
     columns = taken(0)
     del columns[f"measured.{SETPOINTS[3]}"]
     log = read(write_frames(tmp_path / "run.csv", columns, n=2040))
-    assert (
-        set(SETPOINTS) & log.channels.keys() == set()
-    )  # ours are not in force: it is a twist
+    # ours are not in force: it is a twist
+    assert set(SETPOINTS) & log.channels.keys() == set()
     assert "control.mode" in log

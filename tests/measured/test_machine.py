@@ -10,7 +10,7 @@ from hilserver.daemon.assembly import assemble_config
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.errors import LogError
 from hilserver.measured.channels import SETPOINTS
-from hilserver.measured.data import MeasuredLog, Source
+from hilserver.measured.data import LogSource, MeasuredLog
 from hilserver.measured.machine import machine, machine_config
 from hilserver.measured.mapping import LogMapping
 from hilserver.plant.parameters import RobotParameters
@@ -23,7 +23,7 @@ def log_with(**plant):
     mapping = LogMapping.model_validate(
         {"plant": plant, "channels": {"nav.x_m": {"column": "x"}}}
     )
-    return MeasuredLog((Source("log.csv", ""),), {}, (), plant=mapping.plant_keys)
+    return MeasuredLog((LogSource("log.csv", ""),), {}, (), plant=mapping.plant_keys)
 
 
 @pytest.mark.parametrize(

@@ -108,9 +108,8 @@ def test_in_a_recording_of_ours_the_measured_values_count(tmp_path, measured, va
     log = read_measured([write_recording(tmp_path / "run.mcap", measured)])
     assert set(log.channels) == {"wheel.fl.setpoint_rpm", "wheel.fl.speed_rpm"}
     assert set(log["wheel.fl.speed_rpm"].values) == {value}
-    assert (
-        len(log["wheel.fl.speed_rpm"]) == n
-    )  # what comes from outside may be too uncertain
+    # what comes from outside may be too uncertain
+    assert len(log["wheel.fl.speed_rpm"]) == n
     assert len(log["wheel.fl.setpoint_rpm"]) == 1500
 
 
@@ -282,9 +281,8 @@ def test_the_fast_parser_is_the_strict_one_or_says_nothing(
     if found is None:
         return
     path = tmp_path_factory.mktemp("fast") / "log.csv"
-    path.write_bytes(
-        b'"' + text.encode().replace(b"a,", b'a",', 1)
-    )  # quotes: only the strict one
+    # quotes: only the strict one
+    path.write_bytes(b'"' + text.encode().replace(b"a,", b'a",', 1))
     table = read_table(path, time=None)
     assert found[0] == table.header
     expected = np.stack([table.column(name) for name in table.header], axis=1)

@@ -21,7 +21,7 @@ from hilserver.io.ros2 import metrics as ros2_metrics
 from hilserver.io.ros2.status import Ros2Status
 from hilserver.io.shield import metrics as shield_metrics
 from hilserver.io.shield.status import ShieldStatus
-from hilserver.metrics import Source
+from hilserver.metrics import MetricSource
 from hilserver.monitoring import audit
 from hilserver.observer import metrics as observer
 from hilserver.observer.layout import N_HEAD
@@ -75,33 +75,33 @@ class FakeDaemon:
         self.kept = Supervisor()
         self.n_reads = 0
 
-    def sources(self) -> list[Source[Any]]:
+    def sources(self) -> list[MetricSource[Any]]:
         return [
-            Source(scheduler.METRICS, self.pace),
-            Source(core.STATE_METRICS, lambda: self.state),
-            Source(core.PARAMETER_METRICS, lambda: self.differing),
-            Source(
+            MetricSource(scheduler.METRICS, self.pace),
+            MetricSource(core.STATE_METRICS, lambda: self.state),
+            MetricSource(core.PARAMETER_METRICS, lambda: self.differing),
+            MetricSource(
                 core.INPUT_METRICS,
                 lambda: core.InputFigures(self.input_ages_s, self.rejected),
             ),
-            Source(peer_metrics.METRICS, lambda: self.peers),
-            Source(shield_metrics.METRICS, lambda: self.shields),
-            Source(ros2_metrics.METRICS, lambda: self.domains),
-            Source(daemon.LATENCY_METRICS, lambda: self.end_to_end),
-            Source(daemon.GAP_METRICS, lambda: self.model_gap),
-            Source(daemon.ALARM_METRICS, lambda: self.gap_alarms),
-            Source(daemon.OUTPUT_METRICS, lambda: self.outputs),
-            Source(faults.METRICS, lambda: self.faults),
-            Source(observer.METRICS, lambda: self.observed),
+            MetricSource(peer_metrics.METRICS, lambda: self.peers),
+            MetricSource(shield_metrics.METRICS, lambda: self.shields),
+            MetricSource(ros2_metrics.METRICS, lambda: self.domains),
+            MetricSource(daemon.LATENCY_METRICS, lambda: self.end_to_end),
+            MetricSource(daemon.GAP_METRICS, lambda: self.model_gap),
+            MetricSource(daemon.ALARM_METRICS, lambda: self.gap_alarms),
+            MetricSource(daemon.OUTPUT_METRICS, lambda: self.outputs),
+            MetricSource(faults.METRICS, lambda: self.faults),
+            MetricSource(observer.METRICS, lambda: self.observed),
             *self.looks(),
-            Source(audit.METRICS, lambda: self.audit),
-            Source(daemon.TASK_METRICS, lambda: self.kept),
-            Source(daemon.PROGRAM_METRICS, self.program),
+            MetricSource(audit.METRICS, lambda: self.audit),
+            MetricSource(daemon.TASK_METRICS, lambda: self.kept),
+            MetricSource(daemon.PROGRAM_METRICS, self.program),
         ]
 
-    def looks(self) -> list[Source[Any]]:
+    def looks(self) -> list[MetricSource[Any]]:
         figures = self.recalibration
-        return [Source(RECALIBRATION_METRICS, lambda: figures)] if figures else []
+        return [MetricSource(RECALIBRATION_METRICS, lambda: figures)] if figures else []
 
     def pace(self) -> scheduler.PaceFigures:
         self.n_reads += 1

@@ -23,7 +23,7 @@ from hilserver.monitoring.logging_setup import (
     report_repeats,
     setup_logging,
 )
-from hilserver.scheduler.causes import Cause
+from hilserver.scheduler.causes import OverrunCause
 from hilserver.scheduler.overruns import OverrunReport
 
 
@@ -43,9 +43,8 @@ class Terminal(io.StringIO):
 def logging_as_before() -> Iterator[None]:
     root = logging.getLogger()
     handlers, level = root.handlers[:], root.level
-    library = logging.getLogger(
-        "asyncua.server"
-    )  # silenced by whoever ran a server before
+    # silenced by whoever ran a server before
+    library = logging.getLogger("asyncua.server")
     library_level = library.level
     library.setLevel(logging.NOTSET)
     yield
@@ -329,7 +328,7 @@ def test_the_end_of_a_burst_is_reported() -> None:
 
 
 def overrun(consequence: str = "", tick: int = 4711) -> OverrunReport:
-    cause = Cause.PREEMPTED
+    cause = OverrunCause.PREEMPTED
     return OverrunReport(
         "plant", "late_wake", tick, 1_234_567, 2_000, 1, cause, consequence
     )

@@ -210,9 +210,8 @@ def test_histogram_cumulates_and_keeps_what_lies_outside_its_range(
     bucket = {
         le: series[f"{name}_bucket", frozenset({plant, ("le", le)})] for le in LE_WAKE
     }
-    assert (
-        bucket["5e-06"] == 2
-    )  # the bound belongs to its bucket; below the range as well
+    # the bound belongs to its bucket; below the range as well
+    assert bucket["5e-06"] == 2
     assert bucket["1e-05"] == 4
     assert bucket["0.05"] == 4
     assert bucket["0.1"] == 5
@@ -255,9 +254,8 @@ def test_default_configuration_stays_within_300_series() -> None:
         text = metrics.render(is_openmetrics)[0].decode()
         lines = [line for line in text.splitlines() if not line.startswith("#")]
         assert len(lines) <= 300
-        assert any(
-            line.startswith("process_") for line in lines
-        )  # the library's own are counted
+        # the library's own are counted
+        assert any(line.startswith("process_") for line in lines)
 
 
 def test_openmetrics_and_text_agree_and_parse(

@@ -7,7 +7,7 @@ import numpy as np
 
 from hilserver.observer import filter as observer
 from hilserver.observer.consider import constants
-from hilserver.observer.figures import Noise, figures
+from hilserver.observer.figures import MeasuredNoise, figures
 from hilserver.observer.layout import (
     MOMENTS,
     N_ESTIMATED,
@@ -50,11 +50,14 @@ MANY = {
 }
 """Terms that all act on the observer."""
 NOISE = {
-    **{f"wheel.{wheel}.speed_rpm": Noise(0.12) for wheel in ("fl", "rl", "fr", "rr")},
-    "imu.gyro_z_rad_s": Noise(0.006),
-    "nav.x_m": Noise(0.01, 0.05, 0.6),
-    "nav.y_m": Noise(0.01, 0.05, 0.6),
-    "nav.yaw_rad": Noise(0.005, 0.015, 2.0),
+    **{
+        f"wheel.{wheel}.speed_rpm": MeasuredNoise(0.12)
+        for wheel in ("fl", "rl", "fr", "rr")
+    },
+    "imu.gyro_z_rad_s": MeasuredNoise(0.006),
+    "nav.x_m": MeasuredNoise(0.01, 0.05, 0.6),
+    "nav.y_m": MeasuredNoise(0.01, 0.05, 0.6),
+    "nav.yaw_rad": MeasuredNoise(0.005, 0.015, 2.0),
 }
 
 

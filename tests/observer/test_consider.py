@@ -84,9 +84,8 @@ def test_the_gain_is_schmidts():
     h[N_ESTIMATED:] = [
         (m.gyro_gain - observed.p.gyro_gain) * before.estimate[4] for m in moved
     ]
-    assert (
-        np.abs(h[N_ESTIMATED:]).max() == 0.0
-    )  # gyro_scale is not among the uncertain ones
+    # gyro_scale is not among the uncertain ones
+    assert np.abs(h[N_ESTIMATED:]).max() == 0.0
     r = observed.figures.gyro_sd**2
     s = h @ root @ h + r
     gain = root @ h / s

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hilserver.observer.figures import WANDER_S, Noise, configured, figures
+from hilserver.observer.figures import WANDER_S, MeasuredNoise, configured, figures
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.parts import Navigation
 from hilserver.plant.terms import TERMS
@@ -24,7 +24,9 @@ def test_without_a_diagnosis_the_sensors_say_it():
 
 def test_what_a_diagnosis_found_counts_instead():
     f = figures(
-        RobotParameters(), {"nav.x_m": Noise(0.03), "nav.y_m": Noise(0.04)}, unknown={}
+        RobotParameters(),
+        {"nav.x_m": MeasuredNoise(0.03), "nav.y_m": MeasuredNoise(0.04)},
+        unknown={},
     )
     assert f.position_sd == pytest.approx(np.sqrt((0.03**2 + 0.04**2) / 2))
     assert f.position_ou == 0.0
@@ -33,7 +35,8 @@ def test_what_a_diagnosis_found_counts_instead():
 
 def test_a_side_is_the_mean_of_its_wheels_and_steps_are_noise():
     found = {
-        f"wheel.{w}.speed_rpm": Noise(0.3, step=1.2) for w in ("fl", "rl", "fr", "rr")
+        f"wheel.{w}.speed_rpm": MeasuredNoise(0.3, step=1.2)
+        for w in ("fl", "rl", "fr", "rr")
     }
     f = figures(RobotParameters(), found, unknown={})
     assert f.wheel_sd == pytest.approx(
@@ -44,7 +47,9 @@ def test_a_side_is_the_mean_of_its_wheels_and_steps_are_noise():
 def test_the_correlated_part_of_a_speed_is_what_its_integral_shows():
     """Variance per second of the integral of an Ornstein-Uhlenbeck process: 2 sd^2 tau."""
     f = figures(
-        RobotParameters(), {"imu.gyro_z_rad_s": Noise(0.01, 0.02, 3.0)}, unknown={}
+        RobotParameters(),
+        {"imu.gyro_z_rad_s": MeasuredNoise(0.01, 0.02, 3.0)},
+        unknown={},
     )
     assert f.gyro_drift == pytest.approx(2.0 * 0.02**2 * 3.0)
 

@@ -94,9 +94,8 @@ class Textbook(ExtendedKalmanFilter):
 def test_algebra_is_that_of_filterpy():
     observed = Observed(robot(), unknown={"rotation_gain": 0.01, "wheel_radius": 0.01})
     observed.figures.wheel_drift = 0.0
-    steady = np.full(
-        (N, 2), [5.0, -3.0]
-    )  # what readings leave out between them is zero
+    # what readings leave out between them is zero
+    steady = np.full((N, 2), [5.0, -3.0])
     d = drive(observed.p, observed.figures, N, exact=steady)
     d.read[:] = steady
     first = feed(observed, d, 0, position=0, yaw=0)

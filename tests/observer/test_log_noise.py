@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from hilserver.observer.layout import Figures
+from hilserver.observer.layout import FilterFigures
 from hilserver.observer.log_noise import fitted, inflated, sd_of
-from hilserver.observer.offline import GYRO, Series, misfit, run
+from hilserver.observer.offline import GYRO, MeasuredSeries, misfit, run
 from tests.observer.rig import Observed, drive, robot
 from tests.observer.test_smoother import series
 
@@ -15,7 +15,7 @@ N = 1500
 def made_wrong(observed, **factors):
     c = observed.c.copy()
     for name, factor in factors.items():
-        Figures.of(c)[name] *= factor
+        FilterFigures.of(c)[name] *= factor
     return c
 
 
@@ -65,7 +65,7 @@ def test_outliers_do_not_make_all_samples_noisy():
 def test_without_navigation_nothing_can_be_fitted():
     observed = Observed(robot())
     s = series(drive(observed.p, observed.figures, 50))
-    alone = Series(s.wheels, s.samples[s.samples[:, 0] == GYRO])
+    alone = MeasuredSeries(s.wheels, s.samples[s.samples[:, 0] == GYRO])
     assert fitted(observed.p, observed.c, [alone]) is observed.c
 
 

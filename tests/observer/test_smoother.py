@@ -5,7 +5,7 @@ import pytest
 from filterpy.kalman import KalmanFilter
 
 from hilserver.observer.layout import YAW
-from hilserver.observer.offline import GYRO, HEADING, POSITION, Series, run
+from hilserver.observer.offline import GYRO, HEADING, POSITION, MeasuredSeries, run
 from hilserver.observer.smoother import smooth
 from tests.observer.rig import MANY, Observed, drive, numerical, robot
 from tests.observer.test_motion import moved
@@ -20,7 +20,7 @@ def series(d, every=5, cut=None):
         if k % every == 0 and (cut is None or not cut[0] <= k < cut[1]):
             rows += [(HEADING, at, d.yaw[k], 0.0), (POSITION, at, *d.position[k])]
     wheels = np.column_stack([d.times, d.read, np.zeros((len(d.times), 3))])
-    return Series(wheels, np.array(rows))
+    return MeasuredSeries(wheels, np.array(rows))
 
 
 def test_a_series_gives_what_its_samples_give_one_by_one():

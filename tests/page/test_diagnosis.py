@@ -38,9 +38,8 @@ async def write(url, *values):
 @pytest.fixture
 def turning(browser, url, daemon):
     """The simulation is asked to turn, and the real robot turns 15 % more."""
-    browser.do(
-        "open", url=url
-    )  # a page that drove before outranks OPC UA until it gives back
+    # a page that drove before outranks OPC UA until it gives back
+    browser.do("open", url=url)
     browser.do("click", role="button", name="Take control")
     browser.do("click", role="button", name="Give back")
     double = ua.VariantType.Double

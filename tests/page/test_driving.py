@@ -63,9 +63,8 @@ def ends_in_time(drive, plant, fall_silent, awake=lambda: None):
 def test_a_held_key_drives_and_letting_go_stops(driving, plant):
     ahead = plant.value("twist.linear_m_s")
     driving.do("down", key="ArrowLeft")
-    plant.wait(
-        lambda: plant.value("twist.angular_rad_s") > 0.1
-    )  # left is counter-clockwise
+    # left is counter-clockwise
+    plant.wait(lambda: plant.value("twist.angular_rad_s") > 0.1)
     assert plant.value("twist.linear_m_s") == pytest.approx(ahead)
     driving.do("up", key="ArrowLeft")
     driving.do("up", key="ArrowUp")

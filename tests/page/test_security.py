@@ -130,9 +130,8 @@ async def test_a_call_needs_cookie_and_token_of_one_browser(visitor):
         stranger.token = visitor.token
         assert (await stranger.call("session"))[0] == 401
         async with other.get(f"{visitor.url}api/signals") as response:
-            assert (
-                response.status == 200
-            )  # where nobody logs in, programs read without a cookie
+            # where nobody logs in, programs read without a cookie
+            assert response.status == 200
         await stranger.load()
         assert (await stranger.call("session", **{"X-Hilserver-Token": visitor.token}))[
             0
@@ -250,9 +249,8 @@ async def test_the_driver_drives_on_a_fresh_picture_only(visitor, plant):
     assert status == 200, answer
     await socket.send_json({"subscribe": ["sim.tick"], "number": 1})
     command = {"mode": "twist", "linear": 0.2, "turn": 0.0}
-    await socket.send_json(
-        {"drive": command | {"linear": 0.0}}
-    )  # a hand begins at rest
+    # a hand begins at rest
+    await socket.send_json({"drive": command | {"linear": 0.0}})
     await socket.send_json({"drive": command | {"seen": await stamp(socket) - 400}})
     async with asyncio.timeout(120):
         while (await socket.receive()).type is not aiohttp.WSMsgType.TEXT:

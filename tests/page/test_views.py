@@ -56,9 +56,8 @@ def test_every_control_is_reached_and_seen_by_the_tab_key(browser, url, key, vie
     browser.do("open", url=url)
     browser.do("take")
     browser.do("press", key=key)
-    came_later = (
-        " input[type='range']" if view == "Tune" else ""
-    )  # the table of parameters
+    # the table of parameters
+    came_later = " input[type='range']" if view == "Tune" else ""
     browser.do("wait", selector=f"main[data-view='{view.lower()}']{came_later}")
     count = browser.do("run", script=_CONTROLS)
     assert count >= 8
@@ -259,9 +258,8 @@ def test_a_view_that_opens_shows_nothing_that_was_read_for_another_one(
     browser.do("up", key="ArrowUp")
     plant.wait(lambda: abs(plant.value("wheel.fl.speed_rpm")) < 0.01)
     tick = plant.value("sim.tick")
-    plant.wait(
-        lambda: plant.value("sim.tick") > tick + 6000
-    )  # longer than Tune looks back
+    # longer than Tune looks back
+    plant.wait(lambda: plant.value("sim.tick") > tick + 6000)
     browser.do("view", name="Tune")
     path = "document.querySelector('path.speed_rpm').getAttribute('d')"
     once = f"(r) => {{ const look = () => ({path} ?? '').includes('L') ? r({path}) :"

@@ -219,9 +219,8 @@ def spectral_radius(loop, dt_s):
             derivative_next,
             error,
         ]
-        keeps = (
-            [0, 1, 3, 4] if loop.k_i == 0.0 else range(5)
-        )  # the integral then stands still
+        # the integral then stands still
+        keeps = [0, 1, 3, 4] if loop.k_i == 0.0 else range(5)
         square = mpmath.matrix([[rows[i][j] for j in keeps] for i in keeps])
         return max(map(abs, mpmath.eig(square, left=False, right=False)))
 

@@ -175,9 +175,8 @@ def test_range_is_that_of_the_nearest_point_in_the_cone(yaw, y, view, seed):
     start, end = hall[:, 0] + 1j * hall[:, 1], hall[:, 2] + 1j * hall[:, 3]
     share = np.linspace(0.0, 1.0, 20_000)[:, None]
     points = (start + share * (end - start) - origin) * complex(cos, -sin)
-    assume(
-        np.abs(points).min() > 0.1
-    )  # nearer, points are farther apart than the cone is wide
+    # nearer, points are farther apart than the cone is wide
+    assume(np.abs(points).min() > 0.1)
     inside = np.abs(np.angle(points)) <= view / 2
     nearest = np.min(np.abs(points[inside]), initial=math.inf)
     assert found[0] == pytest.approx(min(max(nearest, 0.01), 5.0), abs=1e-3)

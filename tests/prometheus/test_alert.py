@@ -21,10 +21,8 @@ async def test_a_lost_peer_fires_and_clears(node_red, tmp_path) -> None:
         def is_safe() -> bool:
             return alerts().get("HilserverSafeState") == "firing"
 
-        watched = {
-            "HilserverPeerLost",
-            "HilserverSafeState",
-        }  # a busy computer raises others
+        # a busy computer raises others
+        watched = {"HilserverPeerLost", "HilserverSafeState"}
         await until(
             lambda: not watched & alerts().keys(), 120, "the alerts of the start clear"
         )

@@ -19,7 +19,7 @@ from pathlib import Path
 import pytest
 
 from hilserver.daemon.daemon import Daemon
-from hilserver.io.shield.protocol import Command, request
+from hilserver.io.shield.protocol import ShieldCommand, request
 from hilserver.recalibration.proposals import Proposal, Quantity
 from tests.node_red.node_red import shipped_flow, test_flow
 from tests.prometheus.rig import NO_SUCH_CORE, Rig, running_rig
@@ -126,7 +126,7 @@ async def ask_the_shield(rig: Rig) -> None:
     """A host asks at 50 Hz, for as long as a stimulus lasts."""
     host = os.open(rig.line, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     for _ in range(int(HOLD_S / 0.02)):
-        os.write(host, request(Command.SET_RPM))
+        os.write(host, request(ShieldCommand.SET_RPM))
         await asyncio.sleep(0.02)
     os.close(host)
 
@@ -358,7 +358,8 @@ async def test_every_query_moves_under_its_stimulus(node_red, tmp_path) -> None:
                 standing = await queries_that_stand_still(
                     rig, stimulus, begin_s, time.time()
                 )
-                rig.daemon.control.reset_statistics()  # what stood out hides what comes after it
+                # what stood out hides what comes after it
+                rig.daemon.control.reset_statistics()
                 await asyncio.sleep(RATE_S + BEFORE_S + SCRAPE_S)
                 if not standing:
                     break

@@ -20,9 +20,9 @@ from hilserver.recalibration.proposals import (
     FOLLOWING,
     Proposal,
     ProposalStage,
+    ProposalStep,
     ProposedTerm,
     Quantity,
-    Step,
 )
 from hilserver.recalibration.spending import Spending
 
@@ -72,7 +72,7 @@ class Robot:
     def decide(self, step):
         decided = self.loop.decided(step, self.loop.proposal.number)
         self.loop.adopt(decided, self.window + 1)
-        if step is Step.ACCEPT:
+        if step is ProposalStep.ACCEPT:
             self.loaded = {name: term.value for name, term in decided.terms.items()}
 
     @property
@@ -142,7 +142,7 @@ def test_the_gap_after_a_decision_is_measured_on_a_window_of_its_own():
     robot = Robot(every_s=None)
     robot.loop.changed = "nav.x_m"
     robot.proposed()
-    robot.decide(Step.ACCEPT)
+    robot.decide(ProposalStep.ACCEPT)
     assert robot.next() is None  # it began before
     todo = robot.next(measure=BETTER)
     assert todo.measure == {}
@@ -157,7 +157,7 @@ def test_a_decision_that_did_not_help_offers_the_former_model():
     terms = {"rotation_gain": replace(TERM, present=0.01)}
     robot.next(replace(NAMED, terms=terms, gone={"nav_latency": 0.1}))
     robot.next(confirm=BETTER)
-    robot.decide(Step.ACCEPT)
+    robot.decide(ProposalStep.ACCEPT)
     robot.next()
     assert robot.next(measure=NO_BETTER).measure == {
         "rotation_gain": 0.01,
@@ -177,7 +177,7 @@ def test_a_window_that_cannot_say_leaves_the_effect_to_the_next():
     """The robot stood still: no block differs, and the former model is not offered for that."""
     robot = Robot()
     robot.proposed()
-    robot.decide(Step.ACCEPT)
+    robot.decide(ProposalStep.ACCEPT)
     robot.next()
     robot.next(measure=ModelsCompared(1.0, 1.0, 0))
     assert robot.notes[-2].fields["verdict"] == "too_short"
@@ -196,7 +196,7 @@ def test_what_no_longer_runs_as_it_was_accepted_is_not_measured(loaded):
     robot = Robot(every_s=None)
     robot.loop.changed = "nav.x_m"
     robot.proposed()
-    robot.decide(Step.ACCEPT)
+    robot.decide(ProposalStep.ACCEPT)
     robot.next()
     robot.loaded = loaded
     assert robot.next() is None
@@ -210,11 +210,11 @@ def test_what_no_longer_runs_as_it_was_accepted_is_not_measured(loaded):
 def test_two_models_of_which_none_is_better_do_not_take_turns():
     robot = Robot()
     robot.proposed()
-    robot.decide(Step.ACCEPT)
+    robot.decide(ProposalStep.ACCEPT)
     robot.next()
     robot.next()
     assert robot.loop.proposal.number == 2
-    robot.decide(Step.ACCEPT)
+    robot.decide(ProposalStep.ACCEPT)
     robot.next()
     robot.next()
     assert (robot.loop.proposal.number, robot.loop.proposal.stage) == (
@@ -226,7 +226,7 @@ def test_two_models_of_which_none_is_better_do_not_take_turns():
 def test_what_was_rejected_is_not_proposed_again():
     robot = Robot()
     robot.proposed()
-    robot.decide(Step.REJECT)
+    robot.decide(ProposalStep.REJECT)
     robot.next(NAMED)
     robot.next(confirm=BETTER)
     assert robot.loop.proposal.stage is ProposalStage.REJECTED
@@ -241,7 +241,7 @@ def test_what_was_rejected_is_not_proposed_again():
 def test_what_was_rejected_for_another_model_is_proposed_for_this_one():
     robot = Robot()
     robot.proposed()
-    robot.decide(Step.REJECT)
+    robot.decide(ProposalStep.REJECT)
     robot.loaded = {"rotation_gain": 0.01}
     robot.next(replace(NAMED, terms={"rotation_gain": replace(TERM, present=0.01)}))
     robot.next(confirm=BETTER)
@@ -284,7 +284,7 @@ def test_a_restart_restores_what_waits_and_what_was_rejected():
     after = RecalibrationLoop(WINDOW_S, Spending(), 0.0)
     after.restore(lines, {}, 2)
     assert after.proposal == robot.loop.proposal
-    robot.decide(Step.ACCEPT)
+    robot.decide(ProposalStep.ACCEPT)
     lines.append({"proposal": robot.loop.proposal.as_json()})
     after.restore(lines, {}, 2)
     assert (
@@ -297,7 +297,9 @@ def test_a_restart_restores_what_waits_and_what_was_rejected():
     assert after.todo(3, robot.loaded, 3 * WINDOW_S).measure == {}
 
 
-@pytest.mark.parametrize("step", [Step.ACCEPT, Step.REJECT, Step.POSTPONE])
+@pytest.mark.parametrize(
+    "step", [ProposalStep.ACCEPT, ProposalStep.REJECT, ProposalStep.POSTPONE]
+)
 def test_only_the_newest_can_be_decided_on_and_once(step):
     robot = Robot()
     number = robot.proposed().number
@@ -310,7 +312,7 @@ def test_only_the_newest_can_be_decided_on_and_once(step):
         robot.loop.decided(step, number)
 
 
-STEPS = st.lists(st.sampled_from(Step), max_size=8)
+STEPS = st.lists(st.sampled_from(ProposalStep), max_size=8)
 
 
 @hypothesis.given(steps=STEPS)

@@ -26,9 +26,9 @@ from hilserver.recalibration.orders import (
 )
 from hilserver.recalibration.proposals import (
     ProposalStage,
+    ProposalStep,
     ProposedTerm,
     Quantity,
-    Step,
 )
 from hilserver.recalibration.windows import RecalibrationWindow
 from tests.io.opcua_server.rig import RobotClient
@@ -359,7 +359,7 @@ async def test_a_kill_between_decision_and_patch_leaves_the_proposal_open(
     """The line of the decision is on disk, and nothing of the patch has acted."""
     async with daemon_in(tmp_path) as (_, part):
         await proposed(part, answers)
-        decided = part.loop.decided(Step.ACCEPT, 1)
+        decided = part.loop.decided(ProposalStep.ACCEPT, 1)
         part._history.append("decision", who="eve", proposal=decided.as_json())
     async with daemon_in(tmp_path) as (daemon, part):
         assert part.loop.proposal.stage is ProposalStage.OPEN

@@ -23,9 +23,8 @@ def test_one_drive_goes_on_where_the_one_before_has_ended(monkeypatch):
         if {"nav.x_m", "nav.y_m"} <= v.keys()
     ]
     steps = np.diff(np.array(places), axis=0)
-    assert (
-        np.hypot(steps[:, 1], steps[:, 2]).max() < 0.6
-    )  # noise of ranging, and 0.1 m of way
+    # noise of ranging, and 0.1 m of way
+    assert np.hypot(steps[:, 1], steps[:, 2]).max() < 0.6
 
 
 async def test_a_robot_that_was_late_does_not_catch_up(monkeypatch):

@@ -10,12 +10,8 @@ from hilserver.config.root import Config, without_passwords
 from hilserver.recalibration.orders import JudgeOrder, Todo
 
 LENGTH_S = 120.0
-AT_REST = {
-    "speed": 0.12,
-    "duty": 0.15,
-    "nav.": 0.02,
-    "gyro": 0.006,
-}  # noise of what stands
+# noise of what stands
+AT_REST = {"speed": 0.12, "duty": 0.15, "nav.": 0.02, "gyro": 0.006}
 
 
 def write(path, causes, seed, *, drift_from=None, faults=None, length_s=LENGTH_S):

@@ -90,9 +90,8 @@ async def drive(daemon: RunningDaemon) -> None:
         await wander(client, 0.2)
         assert (await client.call("Stop")).StatusCode.is_good()
         await asyncio.sleep(0.8)
-        assert (
-            await client.call("Reset")
-        ).StatusCode.is_good()  # acknowledges the safe state
+        # acknowledges the safe state
+        assert (await client.call("Reset")).StatusCode.is_good()
         await wander(client, 0.2)  # it waits for Start
         assert (await client.call("Start")).StatusCode.is_good()
         await wander(client, 0.4)

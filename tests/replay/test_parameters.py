@@ -88,9 +88,8 @@ async def test_random_changes_while_driving_come_again_to_the_bit(assembly):
         recorder.close()
     log, compared, plan = await replayed(path)
     assert compared.difference is None
-    assert (
-        compared.n_ticks == plan.n_ticks >= len(log) - 2
-    )  # what was loaded is shown at once
+    # what was loaded is shown at once
+    assert compared.n_ticks == plan.n_ticks >= len(log) - 2
     assert accepted > CHANGES // 3
     assert len(log.changes) > CHANGES // 3
     assert set(log.segment) == {0, 1, 2}, (

@@ -133,9 +133,8 @@ def test_one_altered_input_sample_is_found_at_its_tick(replay_here, recorded, tm
     )
     tick = int(re.search(r"outputs differ, first \S+ in tick (\d+)", text).group(1))
     altered_tick = int(log.ticks(PERIOD_NS)[row])
-    assert (
-        altered_tick <= tick <= altered_tick + 1024
-    )  # differences are sought batch by batch
+    # differences are sought batch by batch
+    assert altered_tick <= tick <= altered_tick + 1024
 
 
 def test_another_configuration_is_named(replay_here, recorded, tmp_path):

@@ -78,9 +78,8 @@ async def test_words_of_a_step_need_no_second_word():
     assert exchange.standing
     exchange.step(2)
     assert exchange.get(COMMAND) == first + 2
-    assert (
-        not exchange.standing
-    )  # an old acknowledgement does not count for the new command
+    # an old acknowledgement does not count for the new command
+    assert not exchange.standing
     exchange.pause()
     assert exchange.get(COMMAND) >> 32 == (first >> 32) + 1
 

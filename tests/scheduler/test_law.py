@@ -176,9 +176,8 @@ def test_two_kinds_are_told_apart():
     assert Run("skip", [(10, 1500)]).kinds == ["long_run"]
     assert Run("skip", [(600, 500)]).kinds == ["late_wake"]
     assert Run("skip", [(500, 600)]).kinds == ["long_run"]
-    assert Run("skip", [(1000, 0)]).kinds == [
-        "none"
-    ]  # the deadline itself is still in time
+    # the deadline itself is still in time
+    assert Run("skip", [(1000, 0)]).kinds == ["none"]
 
 
 def test_backlog_of_a_long_run_is_not_blamed_on_the_ticks_behind_it():

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from hilserver.scheduler import OverrunLimits, OverrunPolicy, Slice, StopReason
-from hilserver.scheduler.causes import Cause, CauseFinder, OverrunEvidence, judge
+from hilserver.scheduler.causes import CauseFinder, OverrunCause, OverrunEvidence, judge
 from hilserver.scheduler.exchange import (
     RECORDS_LOST,
     Exchange,
@@ -54,7 +54,7 @@ async def test_a_slice_that_runs_long_is_named(backend):
     assert (report.slice, report.kind, report.cause) == (
         "sensors",
         "long_run",
-        Cause.SLICE,
+        OverrunCause.SLICE,
     )
     assert report.execution_ns >= LONG_NS
     figures = rig.scheduler.statistics.slice("sensors")
@@ -194,22 +194,28 @@ def evidence(**known):
 @pytest.mark.parametrize(
     ("known", "cause"),
     [
-        ({}, Cause.UNKNOWN),
-        ({"stopped": True, "steal_ns": 10**9}, Cause.STOPPED),
-        ({"gc_ns": 6_000_000}, Cause.GC),
-        ({"gc_ns": 4_000_000}, Cause.UNKNOWN),
-        ({"steal_ns": 10_000_000}, Cause.STOLEN),
-        ({"run_delay_ns": 9_000_000}, Cause.PREEMPTED),
-        ({"major_faults": 1}, Cause.FAULT),
-        ({"cpu_ns": 10_000_000}, Cause.UNKNOWN),  # a late wake is not the slice's doing
-        ({"late": False, "cpu_ns": 9_000_000, "preempted": 3}, Cause.SLICE),
-        ({"late": False, "cpu_ns": 1_500_000, "run_delay_ns": 8_000_000}, Cause.SLICE),
+        ({}, OverrunCause.UNKNOWN),
+        ({"stopped": True, "steal_ns": 10**9}, OverrunCause.STOPPED),
+        ({"gc_ns": 6_000_000}, OverrunCause.GC),
+        ({"gc_ns": 4_000_000}, OverrunCause.UNKNOWN),
+        ({"steal_ns": 10_000_000}, OverrunCause.STOLEN),
+        ({"run_delay_ns": 9_000_000}, OverrunCause.PREEMPTED),
+        ({"major_faults": 1}, OverrunCause.FAULT),
+        (
+            {"cpu_ns": 10_000_000},
+            OverrunCause.UNKNOWN,
+        ),  # a late wake is not the slice's doing
+        ({"late": False, "cpu_ns": 9_000_000, "preempted": 3}, OverrunCause.SLICE),
+        (
+            {"late": False, "cpu_ns": 1_500_000, "run_delay_ns": 8_000_000},
+            OverrunCause.SLICE,
+        ),
         (
             {"late": False, "cpu_ns": 900_000, "run_delay_ns": 8_000_000},
-            Cause.PREEMPTED,
+            OverrunCause.PREEMPTED,
         ),
-        ({"late": False, "preempted": 3}, Cause.PREEMPTED),
-        ({"late": False, "minor_faults": 3}, Cause.FAULT),
+        ({"late": False, "preempted": 3}, OverrunCause.PREEMPTED),
+        ({"late": False, "minor_faults": 3}, OverrunCause.FAULT),
     ],
 )
 def test_causes_by_evidence(known, cause):
@@ -231,24 +237,24 @@ def test_finder_reads_proc(tmp_path):
         proc=tmp_path,
     )
     late = OverrunRecord(5, LATE_WAKE, 0, 10**9, 8_000_000, 1000, 1000, 0, 0, 0, 8, 0)
-    assert finder.explain(late, finder.look()) is Cause.UNKNOWN
+    assert finder.explain(late, finder.look()) is OverrunCause.UNKNOWN
     schedstat.write_text("100 7000000 1\n")
-    assert finder.explain(late, finder.look()) is Cause.PREEMPTED
+    assert finder.explain(late, finder.look()) is OverrunCause.PREEMPTED
     stat.write_text("cpu  1 0 0 0 0 0 0 51 0 0\n")
-    assert finder.explain(late, finder.look()) is Cause.STOLEN
+    assert finder.explain(late, finder.look()) is OverrunCause.STOLEN
     now[0] += 2 * 10**9
     finder.look_around()  # from here on the old figures explain nothing
-    assert finder.explain(late, finder.look()) is Cause.UNKNOWN
+    assert finder.explain(late, finder.look()) is OverrunCause.UNKNOWN
     now[0] = 10**9 + 9_000_000
     finder.continued()
-    assert finder.explain(late, finder.look()) is Cause.STOPPED
+    assert finder.explain(late, finder.look()) is OverrunCause.STOPPED
     schedstat.unlink()
     stat.unlink()
     blind = CauseFinder(
         7, GcPauses(), period_ns=10**6, gc_stops_ticks=True, proc=tmp_path
     )
     long = OverrunRecord(5, LONG_RUN, 0, 0, 0, 2_000_000, 2_000_000, 0, 0, 0, 0, 0)
-    assert blind.explain(long, blind.look()) is Cause.SLICE
+    assert blind.explain(long, blind.look()) is OverrunCause.SLICE
 
 
 def test_gc_pauses_are_measured():
@@ -307,7 +313,7 @@ def test_young_records_wait():
 
 def test_one_line_for_the_log():
     report = OverrunReport(
-        "plant", "late_wake", 7, 2_500_000, 1000, 2, Cause.STOLEN, "stopped"
+        "plant", "late_wake", 7, 2_500_000, 1000, 2, OverrunCause.STOLEN, "stopped"
     )
     assert (
         str(report)

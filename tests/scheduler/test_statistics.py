@@ -119,9 +119,8 @@ def test_reset_forgets_everything_at_the_next_run():
     record(statistics, 0, 5_000_000, 5, LATE_WAKE, 2)
     rows.record_tick(statistics.array, 7_000, 1_000_000, 2)
     statistics.reset()
-    assert (
-        statistics.slice("plant").count == 0
-    )  # seen at once, although no run came yet
+    # seen at once, although no run came yet
+    assert statistics.slice("plant").count == 0
     assert statistics.slice("plant").margin_min_ns is None
     assert statistics.linear_counts.sum() == 0
     assert statistics.tick.missed_ticks == 0

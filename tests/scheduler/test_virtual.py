@@ -39,9 +39,8 @@ async def test_a_million_ticks_run_every_slice_exactly():
         for i, period in enumerate(PERIODS):
             runs = MILLION // period
             assert rig.words[i] == runs
-            assert (
-                rig.words[50 + i] == period * runs * (runs - 1) // 2
-            )  # the right ticks
+            # the right ticks
+            assert rig.words[50 + i] == period * runs * (runs - 1) // 2
             figures = rig.scheduler.statistics.slice(f"s{period}")
             assert (figures.count, figures.missed_ticks) == (runs, 0)
             assert figures.execution_counts.sum() == runs

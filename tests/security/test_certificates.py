@@ -454,9 +454,8 @@ async def test_guessing_is_slowed_down_for_that_name(pki: Pki, tmp_path: Path) -
             assert await login(rig, pki, password) == "BadUserAccessDenied"
         # The right one does not help any more: three wrong ones came for this name.
         assert await login(rig, pki, "all") == "BadUserAccessDenied"
-        assert (
-            await login(rig, pki, "drive", "otto") == "Good"
-        )  # beside her on this computer
+        # beside her on this computer
+        assert await login(rig, pki, "drive", "otto") == "Good"
     finally:
         await rig.close()
 

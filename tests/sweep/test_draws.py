@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hilserver.sweep.draws import Draws, Joint, root_of
+from hilserver.sweep.draws import Draws, JointDraw, root_of
 from hilserver.sweep.model import Distribution, FaultShare
 
 UNIFORM = Distribution(uniform=(2.0, 6.0))
@@ -43,7 +43,7 @@ def test_distributions():
 
 
 def test_what_is_known_together_is_drawn_together():
-    joint = Joint(("x", "y"), np.array([1.0, -2.0]), root_of(COVARIANCE))
+    joint = JointDraw(("x", "y"), np.array([1.0, -2.0]), root_of(COVARIANCE))
     of = draws(joint=joint, a=NORMAL)
     assert of.names == ("x", "y", "a")
     found = np.stack([column(of, "x", 6000), column(of, "y", 6000)])

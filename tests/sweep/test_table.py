@@ -8,10 +8,10 @@ import pytest
 from hilserver.errors import FailedError, LogError
 from hilserver.sweep import table as module
 from hilserver.sweep.batch import fingerprint
-from hilserver.sweep.journal import Journal
+from hilserver.sweep.journal import SweepJournal
 from hilserver.sweep.junit import write_junit
 from hilserver.sweep.report.page import write_report
-from hilserver.sweep.rig import Outcome, Rig
+from hilserver.sweep.rig import MachineOutcome, Rig
 from hilserver.sweep.table import read_table, table_of, write_table
 from hilserver.sweep.words import compare
 
@@ -21,7 +21,7 @@ WIDE = {"from": {"population": {"coulomb_friction": {"mean": 1, "sd": 1}}}}
 def swept(prepared, folder, machines=None):
     """Drive all machines in this process; return the table."""
     rig = Rig(prepared.job)
-    journal = Journal(folder, prepared.job.key, resume=True)
+    journal = SweepJournal(folder, prepared.job.key, resume=True)
     n = prepared.sweep.machines if machines is None else machines
     left = [index for index in range(n) if index not in journal.done]
     journal.add([rig.drive(prepared.machine(index)) for index in left], fingerprint())
@@ -62,9 +62,8 @@ def test_a_journal_is_continued_after_a_torn_line(made, tmp_path):
     whole = swept(prepared, tmp_path / "whole")
     swept(prepared, out, machines=4)
     content = (out / "finished.jsonl").read_bytes()
-    (out / "finished.jsonl").write_bytes(
-        content[:-7]
-    )  # killed while it wrote machine 3
+    # killed while it wrote machine 3
+    (out / "finished.jsonl").write_bytes(content[:-7])
     same(swept(prepared, out), whole)
     assert len((out / "finished.jsonl").read_bytes().splitlines()) == 1 + 6
 
@@ -74,7 +73,7 @@ def test_another_sweep_is_not_continued(made, tmp_path):
     with pytest.raises(FailedError, match="belongs to another sweep"):
         swept(made(seed=8), tmp_path / "out")
     with pytest.raises(FailedError, match="continue with --resume"):
-        Journal(tmp_path / "out", made().job.key, resume=False)
+        SweepJournal(tmp_path / "out", made().job.key, resume=False)
 
 
 def test_the_truth_is_in_the_report(made, limit, tmp_path):
@@ -107,7 +106,7 @@ def test_a_fault_that_decides_has_no_axis(made, tmp_path):
 def test_the_report_of_failures_alone(made, tmp_path):
     table = swept(made(machines=8, **WIDE), tmp_path / "out")
     none = table.margins["straight"] * np.nan
-    broken = module.Table(
+    broken = module.MachineTable(
         *(getattr(table, name) for name in ("index", "seed", "parameters", "faults")),
         {"straight": none, "arrives": none},
         ["error" if s != "refused" else s for s in table.status],
@@ -151,6 +150,6 @@ def test_two_controllers_on_the_same_machines(made, limit, tmp_path):
 
 
 def test_an_outcome_passes_with_margins_that_are_not_negative():
-    assert Outcome(0, (0.0, 1.0)).passed
-    assert not Outcome(0, (-1e-9, 1.0)).passed
-    assert not Outcome(0, error="took longer").passed
+    assert MachineOutcome(0, (0.0, 1.0)).passed
+    assert not MachineOutcome(0, (-1e-9, 1.0)).passed
+    assert not MachineOutcome(0, error="took longer").passed

@@ -23,9 +23,8 @@ def watched_start(service: Service) -> list[tuple[str, int]]:
     seen: list[tuple[str, int]] = []
 
     def is_over() -> bool:
-        state = service.show(
-            "ActiveState"
-        )  # first: it may become ready between the two
+        # first: it may become ready between the two
+        state = service.show("ActiveState")
         seen.append((state, service.get("/readyz")[0]))
         return state in ("active", "failed")
 

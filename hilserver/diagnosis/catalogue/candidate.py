@@ -10,9 +10,8 @@ from hilserver.diagnosis.catalogue.traits import traits_of
 Theta = Sequence[float]
 Region = tuple[float, float, float, float]
 StageName = Literal["drive", "pose"]
-STAGES: Final[tuple[StageName, ...]] = get_args(
-    StageName
-)  # in the order in which they are judged
+# in the order in which they are judged
+STAGES: Final[tuple[StageName, ...]] = get_args(StageName)
 
 LARGEST_WAVE = 0.5
 
@@ -33,12 +32,10 @@ class Candidate:
     low: tuple[float, ...]
     high: tuple[float, ...]
     least: float  # size (largest parameter) below which it is not worth a name
-    linear: bool = (
-        True  # whether the effect is nearly linear, so that the screen may extrapolate
-    )
-    hidden: int = (
-        0  # parameters of its shape that were searched, besides the fitted ones
-    )
+    # whether the effect is nearly linear, so that the screen may extrapolate
+    linear: bool = True
+    # parameters of its shape that were searched, besides the fitted ones
+    hidden: int = 0
     tried: tuple[float, ...] = ()  # more start values, for when much is left to explain
     # from a shift of its shape (an edge [m], the logarithm of a speed) to the candidate with that
     # shape, for a finer search
@@ -139,9 +136,8 @@ def wave(cause: str, label: str, amplitude: str, phase: str, step: float) -> Can
     """Return the candidate of an amplitude and a phase, fitted as cosine and sine parts."""
 
     def terms(theta: Theta) -> dict[str, float]:
-        size = min(
-            math.hypot(theta[0], theta[1]), LARGEST_WAVE
-        )  # each part may be that large
+        # each part may be that large
+        size = min(math.hypot(theta[0], theta[1]), LARGEST_WAVE)
         return {
             amplitude: size,
             phase: math.atan2(theta[1], theta[0]) if size > 0.0 else 0.0,

@@ -36,29 +36,25 @@ class Traits:
     abrupt: float = 0.0
     whole_ticks: bool = False  # a time that acts in whole ticks of the plant
     adds_up: bool = False  # a period: the smallest error of it adds up along the log
-    is_limit: bool = (
-        False  # it has no finite null: a smaller parameter has a larger effect
-    )
+    # it has no finite null: a smaller parameter has a larger effect
+    is_limit: bool = False
     at_rest: bool = False  # it is visible on a robot that stands still
     # changes along the log may look like it: the robot is at other places early than late
     of_a_place: bool = False
     # it makes a turn late, or its gain depend on the turn, as scrubbing tyres do
     delays_turn: bool = False
     bends_turn: bool = False
-    scrubs_as: str = (
-        ""  # parameter of friction across the wheels with the same effect on turns
-    )
+    # parameter of friction across the wheels with the same effect on turns
+    scrubs_as: str = ""
     # cause of the same size and opposite sign that one floor cannot tell from it
     mirrored_by: str = ""
-    field: str = (
-        ""  # parameter of the place-dependent errors of which it is the simplest
-    )
+    # parameter of the place-dependent errors of which it is the simplest
+    field: str = ""
     # causes that it may stand for if both act: swapping single causes does not lead from it to
     # them
     together: tuple[str, ...] = ()
-    hides_inputs: bool = (
-        False  # if found in an input, the log does not show when that changed
-    )
+    # if found in an input, the log does not show when that changed
+    hides_inputs: bool = False
 
 
 POSITION_FIELD: Final = "nav_position_bias.amplitude"

@@ -63,9 +63,8 @@ def _wrap(channel: Channel, fastest_rad_s: float) -> float:
     size = float(np.median(sizes))
     if np.mean(np.abs(sizes - size) < 0.2 * size) < NEARLY_ALL:
         return 0.0
-    usual = np.abs(
-        calm[1:-1] - 0.5 * (calm[:-2] + calm[2:])
-    )  # what a steady turn leaves
+    # what a steady turn leaves
+    usual = np.abs(calm[1:-1] - 0.5 * (calm[:-2] + calm[2:]))
     unsure = 3.0 * float(np.quantile(usual, 0.9)) / np.sqrt(len(sizes)) + 1e-9
     quantum, _ = step_of(channel.values)
     bits = quantum * np.exp2(np.rint(np.log2(size / quantum))) if quantum else math.tau

@@ -7,7 +7,7 @@ import numpy as np
 
 from hilserver.arrays import Array, Mask
 from hilserver.diagnosis.checks.motion import (
-    Windows,
+    MotionWindows,
     ends_in,
     mean_in,
     rolled,
@@ -63,7 +63,7 @@ def find(log: MeasuredLog, robot: RobotParameters) -> tuple[MeasuredLog, list[Fi
     return replace(left, notices=(*log.notices, note)), []
 
 
-def _asked_m(log: MeasuredLog, robot: RobotParameters, windows: Windows) -> Array:
+def _asked_m(log: MeasuredLog, robot: RobotParameters, windows: MotionWindows) -> Array:
     """Return the distance that the wheels make, or are asked to make, in each window."""
     asked = np.zeros(len(windows))
     for what in ("speed_rpm", "setpoint_rpm"):
@@ -73,14 +73,14 @@ def _asked_m(log: MeasuredLog, robot: RobotParameters, windows: Windows) -> Arra
     return asked * (windows.end - windows.begin)
 
 
-def _stands(log: MeasuredLog, windows: Windows, way_m: Array) -> Mask:
+def _stands(log: MeasuredLog, windows: MotionWindows, way_m: Array) -> Mask:
     """Return in which windows position and heading stay the same; False where unknown."""
     (x0, x1, _), (y0, y1, _) = (ends_in(log[name], windows) for name in POSITION)
     is_there = np.hypot(x1 - x0, y1 - y0) < STANDS * way_m
     return np.asarray(is_there & (np.abs(mean_in(log[GYRO], windows)) < TURNS_RAD_S))
 
 
-def _spells(is_blocked: Mask, windows: Windows) -> list[Spell]:
+def _spells(is_blocked: Mask, windows: MotionWindows) -> list[Spell]:
     """Return every spell of some length, with the windows around it: it began and ended in them."""
     spans, found = np.rint(windows.begin / SPAN_S).astype(np.int64), []
     for span in np.unique(spans).tolist():

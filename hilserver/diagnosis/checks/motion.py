@@ -17,7 +17,7 @@ MOTION_WINDOW_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Windows:
+class MotionWindows:
     """Windows of a log."""
 
     # shape (n,): stamps as `support.along` makes them [s]
@@ -28,7 +28,7 @@ class Windows:
         return len(self.begin)
 
 
-def windows_of(log: MeasuredLog, width_s: float = MOTION_WINDOW_S) -> Windows:
+def windows_of(log: MeasuredLog, width_s: float = MOTION_WINDOW_S) -> MotionWindows:
     """Cut the spans into windows of about `width_s`."""
     edges = []
     for index, span in enumerate(log.spans):
@@ -36,10 +36,10 @@ def windows_of(log: MeasuredLog, width_s: float = MOTION_WINDOW_S) -> Windows:
         times = np.linspace(span.start_s, span.end_s, n + 1) + SPAN_S * index
         edges.append(np.stack([times[:-1], times[1:]]))
     begin, end = np.concatenate(edges, axis=1)
-    return Windows(begin, end)
+    return MotionWindows(begin, end)
 
 
-def mean_in(channel: Channel, windows: Windows) -> Array:
+def mean_in(channel: Channel, windows: MotionWindows) -> Array:
     """Return the mean of a channel in each window, NaN where it has no sample."""
     times = along(channel)
     first, last = (
@@ -52,7 +52,7 @@ def mean_in(channel: Channel, windows: Windows) -> Array:
         return np.where(count > 0, (total[last] - total[first]) / count, np.nan)
 
 
-def ends_in(channel: Channel, windows: Windows) -> tuple[Array, Array, Array]:
+def ends_in(channel: Channel, windows: MotionWindows) -> tuple[Array, Array, Array]:
     """Return first value, last value and time between them in each window."""
     times = along(channel)
     first = np.searchsorted(times, windows.begin)
@@ -67,7 +67,7 @@ def ends_in(channel: Channel, windows: Windows) -> tuple[Array, Array, Array]:
     )
 
 
-def rate_in(angle: Channel, windows: Windows, turn: float = 2.0 * np.pi) -> Array:
+def rate_in(angle: Channel, windows: MotionWindows, turn: float = 2.0 * np.pi) -> Array:
     """Return the mean rate of an angle that wraps at `turn` in each window."""
     step = np.diff(angle.values)
     step = np.where(np.diff(angle.span) == 0, step - turn * np.rint(step / turn), 0.0)
@@ -79,7 +79,7 @@ def rate_in(angle: Channel, windows: Windows, turn: float = 2.0 * np.pi) -> Arra
 
 
 def side_mean(
-    log: MeasuredLog, side: Iterable[str], what: str, windows: Windows
+    log: MeasuredLog, side: Iterable[str], what: str, windows: MotionWindows
 ) -> Array | None:
     """Return the mean of the wheels of one side [rad/s], None if there are none."""
     found = [
@@ -90,7 +90,7 @@ def side_mean(
     return None if not found else np.mean(found, axis=0) * RAD_S_PER_RPM
 
 
-def lateral_mean(log: MeasuredLog, what: str, windows: Windows) -> Array | None:
+def lateral_mean(log: MeasuredLog, what: str, windows: MotionWindows) -> Array | None:
     """Return how fast mecanum wheels roll to the left [rad/s], None if one is missing."""
     names = [f"wheel.{wheel}.{what}" for wheel in WHEELS]
     if not log.has(*names):
@@ -100,7 +100,7 @@ def lateral_mean(log: MeasuredLog, what: str, windows: Windows) -> Array | None:
 
 
 def rolled(
-    log: MeasuredLog, what: str, windows: Windows, robot: RobotParameters
+    log: MeasuredLog, what: str, windows: MotionWindows, robot: RobotParameters
 ) -> Array | None:
     """Return how fast the wheels would move the robot ahead, back or sideways [m/s]."""
     left, right = (side_mean(log, side, what, windows) for side in SIDES)
@@ -110,7 +110,9 @@ def rolled(
     return np.asarray(robot.wheel_radius_m * np.hypot(0.5 * (left - right), lateral))
 
 
-def turned(log: MeasuredLog, windows: Windows, robot: RobotParameters) -> Array | None:
+def turned(
+    log: MeasuredLog, windows: MotionWindows, robot: RobotParameters
+) -> Array | None:
     """Return the turn rate by the wheels, or else by their set-points [rad/s]."""
     for what in ("speed_rpm", "setpoint_rpm"):
         left, right = (side_mean(log, side, what, windows) for side in SIDES)

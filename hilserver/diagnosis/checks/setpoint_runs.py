@@ -37,9 +37,8 @@ from hilserver.measured.channels import SETPOINTS, SPEEDS, TWIST
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 
-KNOWN_TO: Final = (
-    0.02 / 1.96
-)  # standard error of the rate of interpolated set-points, as a share
+# standard error of the rate of interpolated set-points, as a share
+KNOWN_TO: Final = 0.02 / 1.96
 LONGEST_PERIODS: Final = 12.0  # longer durations say nothing about their period
 
 

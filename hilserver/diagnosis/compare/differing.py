@@ -79,9 +79,8 @@ def _imitators(
     out = []
     for rival in rivals(library, point, index):
         c = rival.candidate
-        alike = (
-            rival.close and rival.cosine > GROUP_COSINE
-        )  # what remains is the difference itself
+        # what remains is the difference itself
+        alike = rival.close and rival.cosine > GROUP_COSINE
         if not alike or c.n > 1 or c.cause in named:
             continue
         share = (rival.fitted.theta[0] - c.null[0]) / away

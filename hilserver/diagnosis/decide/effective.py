@@ -15,7 +15,7 @@ import numpy as np
 from scipy import stats
 
 from hilserver.arrays import Indices
-from hilserver.diagnosis.decide.promise import Step
+from hilserver.diagnosis.decide.promise import ModelExchange
 from hilserver.diagnosis.decide.trial import at_bound, implausible, wald, worth_a_name
 from hilserver.diagnosis.regression.fitting import fit_without
 from hilserver.diagnosis.regression.linear import orthogonal
@@ -83,7 +83,7 @@ def _earns(problem: Problem, whole: Point, index: int, limit: float) -> bool:
         return False
     if wald(problem, whole, index) <= limit:
         return False
-    step = Step(problem, fit_without(problem, whole, index), whole)
+    step = ModelExchange(problem, fit_without(problem, whole, index), whole)
     return step.earns and not step.harms
 
 

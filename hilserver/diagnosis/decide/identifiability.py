@@ -8,7 +8,7 @@ import numpy as np
 
 from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.candidate import Candidate
-from hilserver.diagnosis.decide.promise import CLEARLY_SE, Step
+from hilserver.diagnosis.decide.promise import CLEARLY_SE, ModelExchange
 from hilserver.diagnosis.decide.trial import Trial, cost, possible
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.fitting import fit, fit_without
@@ -36,9 +36,8 @@ class Rival:
     # of the sensitivities, without what the other accepted causes explain; or of the effects at
     # their fitted sizes, if these are more alike, see `likeness`
     cosine: float
-    worse: (
-        float  # additional deviance that it leaves, including a penalty per parameter
-    )
+    # additional deviance that it leaves, including a penalty per parameter
+    worse: float
     z: float  # significance of the difference over the blocks, see `deviations`
     gross: bool  # the accepted cause leaves far more than noise
     tie: float = TIE  # additional deviance that does not count
@@ -206,7 +205,7 @@ def with_best_rivals(
         for index, f in enumerate(point.model.fitted):
             found = rivals(library, point, index, near.get(f.candidate.cause, ()))
             if found and found[0].wins and not found[0].ties:
-                if Step(library.problem, point, found[0].point).harms:
+                if ModelExchange(library.problem, point, found[0].point).harms:
                     found = found[1:]
                 else:
                     swapped = found[0].point

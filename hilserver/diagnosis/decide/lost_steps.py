@@ -64,9 +64,8 @@ def lost_steps(problem: Problem, point: Point) -> tuple[int, int]:
         spans = stage.segments.span[stack.segment[edge]]
         for span in range(len(log.spans)):
             ts, s = log[setpoint].of(span)
-            first, end = np.searchsorted(
-                spans, [span, span + 1]
-            )  # stamps rise within a span only
+            # stamps rise within a span only
+            first, end = np.searchsorted(spans, [span, span + 1])
             for a in np.flatnonzero(np.abs(np.diff(s)) > LARGE_STEP_RPM) + 1:
                 low, high = first + np.searchsorted(
                     t[first:end], [ts[a], ts[a] + RESPONSE_S]

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from functools import partial
 from typing import Final
 
-from hilserver.diagnosis.decide.promise import Step
+from hilserver.diagnosis.decide.promise import ModelExchange
 from hilserver.diagnosis.decide.selection import MOST_FITTED, attempt, best_starts
 from hilserver.diagnosis.decide.trial import holds, implausible
 from hilserver.diagnosis.regression.by_ends import fit_by_ends
@@ -37,7 +37,7 @@ def before_settling(
     for richer in before:
         if richer is whole:
             continue
-        step = Step(problem, richer, whole)
+        step = ModelExchange(problem, richer, whole)
         if step.harms:
             whole, harm = richer, step.gain
     nameless = [c for c in whole.model.causes if c not in point.model.causes]
@@ -59,7 +59,9 @@ def with_nameless(p: Prepared, whole: Point, rows: list[Decision]) -> Point:
             break
         cause = further.model.causes[-1]
         rows.append(
-            Decision(cause, "refused", Step(p.problem, whole, further).gain, COMES)
+            Decision(
+                cause, "refused", ModelExchange(p.problem, whole, further).gain, COMES
+            )
         )
         whole = further
     return whole
@@ -92,7 +94,7 @@ def _further(p: Prepared, whole: Point) -> Point | None:
         point = trial.point
         if trial.gain <= LEAST_GAIN or implausible(point.model.fitted[-1]):
             continue
-        step = Step(problem, whole, point)
+        step = ModelExchange(problem, whole, point)
         if step.helps and not step.harms and holds(problem, whole, point):
             return point
     return None

@@ -20,7 +20,7 @@ CLEARLY_SE: Final = 2.0
 """Standard errors over the blocks beyond which an error has clearly grown (specification)."""
 
 
-class Step:
+class ModelExchange:
     """The exchange of one model for another, compared block by block on held-out blocks.
 
     Parameters
@@ -67,7 +67,7 @@ def left_out(
 ) -> list[Decision]:
     """Return a row for each cause that the next model no longer has, with the gain of the step."""
     gone = [c for c in before.model.causes if c not in after.model.causes]
-    gain = Step(problem, before, after).gain if gone else None
+    gain = ModelExchange(problem, before, after).gain if gone else None
     return [Decision(cause, action, gain, reason) for cause in gone]
 
 

@@ -16,7 +16,7 @@ from hilserver.diagnosis.decide.predicting import (
     halfway,
     with_nameless,
 )
-from hilserver.diagnosis.decide.promise import Step, left_out
+from hilserver.diagnosis.decide.promise import ModelExchange, left_out
 from hilserver.diagnosis.decide.scrubbing import bent_turn, late_turn, scrubs
 from hilserver.diagnosis.decide.selection import Selected, with_noise_anew
 from hilserver.diagnosis.decide.structure import (
@@ -44,7 +44,7 @@ Doubt = tuple[int, str] | None
 
 
 @dataclass
-class Judged:
+class JudgedStage:
     """One stage after selection."""
 
     prepared: Prepared
@@ -69,7 +69,7 @@ class Judged:
         return Model(tuple(f for f in fitted if f.candidate.cause not in self.drift))
 
 
-def revised(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged:
+def revised(p: Prepared, selected: Selected, rng: np.random.Generator) -> JudgedStage:
     """Weigh the selected causes against rivals, each other and unknown structure."""
     problem, rows = p.problem, selected.rows
     weighed, ties = _weighed(p, selected)
@@ -119,7 +119,7 @@ def revised(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
         point, effective = with_effective(p, point, whole, rng, rows)
     patched = halfway(problem, point)
     whole = patched if whole is point else halfway(problem, whole)
-    return Judged(
+    return JudgedStage(
         p, selected, patched, whole, kept, unknown, drift, scores, scrubbed, anchor, in_doubt,
         effective,
     )  # fmt: skip
@@ -235,7 +235,10 @@ def _harmless(problem: Problem, point: Point, doubtful: Iterable[int]) -> set[in
     A family of columns is flexible enough to explain as much as a true cause on the blocks that it
     is fitted to; but a true cause does not make any prediction worse.
     """
-    steps = {i: Step(problem, point, fit_without(problem, point, i)) for i in doubtful}
+    steps = {
+        i: ModelExchange(problem, point, fit_without(problem, point, i))
+        for i in doubtful
+    }
     return {i for i, step in steps.items() if step.helps or not step.harms}
 
 
@@ -325,7 +328,7 @@ def with_fewer(
         stands = rival.candidate.cause in less.model.causes
         if not fewer or not stands or less.deviance >= point.deviance + LEAST_GAIN:
             continue
-        if not Step(problem, point, less).harms:
+        if not ModelExchange(problem, point, less).harms:
             return less
     return None
 

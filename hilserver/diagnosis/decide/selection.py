@@ -14,7 +14,7 @@ from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.decide.beginning import Terms, begun
 from hilserver.diagnosis.decide.delays import beginning_for, with_other_delays
-from hilserver.diagnosis.decide.promise import Step
+from hilserver.diagnosis.decide.promise import ModelExchange
 from hilserver.diagnosis.decide.shape_search import refined, searched
 from hilserver.diagnosis.decide.trial import (
     Trial,
@@ -64,9 +64,8 @@ class Selected:
     point: Point
     # family-wise p of each accepted cause when it was accepted
     p: dict[str, float] = field(default_factory=dict)
-    rows: list[Decision] = field(
-        default_factory=list
-    )  # what was taken and refused, in order
+    # what was taken and refused, in order
+    rows: list[Decision] = field(default_factory=list)
     # for each accepted cause, the others that explained nearly as much in its round
     near: dict[str, list[Trial]] = field(default_factory=dict)
 
@@ -243,7 +242,11 @@ def _simpler(problem: Problem, point: Point, other: Point) -> bool:
         (len(m.fitted), sum(f.candidate.weight for f in m.fitted))
         for m in (other.model, point.model)
     )
-    return 0 < few < many and small <= large and not Step(problem, point, other).harms
+    return (
+        0 < few < many
+        and small <= large
+        and not ModelExchange(problem, point, other).harms
+    )
 
 
 def _own_error(problem: Problem, point: Point, base: Point) -> float:
@@ -378,7 +381,7 @@ def _accepted(
             )
         if why is None:
             why = f"{saved}, {z:.1f} standard errors from zero"
-            gain = Step(problem, point, fitted).gain
+            gain = ModelExchange(problem, point, fitted).gain
             selected.rows.append(Decision(cause, "taken", gain, why))
             return replace(trial, point=fitted)
         selected.rows.append(Decision(cause, "refused", None, why))

@@ -6,7 +6,7 @@ import numpy as np
 
 from hilserver.arrays import Array
 from hilserver.diagnosis.decide.identifiability import deviations
-from hilserver.diagnosis.decide.revision import Judged
+from hilserver.diagnosis.decide.revision import JudgedStage
 from hilserver.diagnosis.progress import Report
 from hilserver.diagnosis.regression.screen import critical, null_maxima
 from hilserver.diagnosis.regression.stages import Prepared, prepare, stages_of
@@ -16,7 +16,7 @@ from hilserver.measured.data import MeasuredLog
 
 
 def with_wheels(
-    p: Prepared, drive: Judged, log: MeasuredLog, jobs: int, report: Report
+    p: Prepared, drive: JudgedStage, log: MeasuredLog, jobs: int, report: Report
 ) -> Prepared | None:
     """Return the pose stage, moved by wheels that turn with the drive's causes.
 
@@ -31,7 +31,11 @@ def with_wheels(
 
 
 def disproved(
-    p: Prepared, drive: Judged, log: MeasuredLog, jobs: int, rng: np.random.Generator
+    p: Prepared,
+    drive: JudgedStage,
+    log: MeasuredLog,
+    jobs: int,
+    rng: np.random.Generator,
 ) -> frozenset[str]:
     """Return causes of the drive whose turning wheels the pose contradicts.
 

@@ -19,14 +19,10 @@ from hilserver.measured.channels import DUTIES, GYRO, POSITION, SPEEDS, YAW
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.units import RAD_S_PER_RPM
 
-DRIVES, TURNS = (
-    0.1,
-    0.1,
-)  # speed [m/s] and turn rate [rad/s] from which a direction is remembered
-TURNING, DRIVING = (
-    0.2,
-    0.05,
-)  # turn rate [rad/s] and speed [m/s] from which a direction counts
+# speed [m/s] and turn rate [rad/s] from which a direction is remembered
+DRIVES, TURNS = 0.1, 0.1
+# turn rate [rad/s] and speed [m/s] from which a direction counts
+TURNING, DRIVING = 0.2, 0.05
 RANGING = "ranging"
 FREQUENCIES_HZ = tuple(float(f) for f in np.geomspace(0.02, 2.0, 9))
 PEAKS, FINEST_HZ = 3, 5.0

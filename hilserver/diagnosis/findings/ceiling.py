@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from hilserver.diagnosis.findings.worth import Part
+from hilserver.diagnosis.findings.worth import MemberStage
 from hilserver.diagnosis.regression.gain import gains
 from hilserver.diagnosis.regression.stages import of_the_other_half
 
@@ -12,7 +12,7 @@ DIGITS: Final = 5  # further digits depend on how many threads share its large p
 
 
 def ceilings(
-    part: Part, horizon_s: float, rng: np.random.Generator
+    part: MemberStage, horizon_s: float, rng: np.random.Generator
 ) -> dict[str, float]:
     """Return the held-out ratio that a ridge regression on all columns reaches, by quantity.
 

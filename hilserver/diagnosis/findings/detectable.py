@@ -75,9 +75,8 @@ def shown_sizes(
     """
     found: dict[str, list[tuple[float, str, float]]] = {}  # one of each candidate
     for i, c in enumerate(library.candidates):
-        norms = (
-            library.norms[i] if c.n > 1 else np.ones(1)
-        )  # by which `spread` divided columns
+        # by which `spread` divided columns
+        norms = library.norms[i] if c.n > 1 else np.ones(1)
         names = list(c.terms(c.start))
         mine = np.flatnonzero(library.owner == i)[: max(c.n, 1)]
         own: list[tuple[float, str, float]] = []

@@ -24,7 +24,7 @@ def is_wave(f: Fitted) -> bool:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class StageEstimate:
     """All fitted parameters of one stage, as reported."""
 
     names: tuple[str, ...]
@@ -34,12 +34,12 @@ class Estimate:
     covariance: Array
 
     @classmethod
-    def none(cls) -> "Estimate":
+    def none(cls) -> "StageEstimate":
         """Return the estimate of a model without any cause."""
         return cls((), (), np.zeros(0), np.zeros((0, 0)))
 
     @classmethod
-    def of(cls, model: Model, covariance: Array) -> "Estimate":
+    def of(cls, model: Model, covariance: Array) -> "StageEstimate":
         """Return fitted parameters as they are reported.
 
         Parameters
@@ -67,14 +67,14 @@ class Estimate:
         return frozenset(near.tolist()) - {index}
 
 
-def estimate_of(problem: Problem, point: Point) -> Estimate:
+def estimate_of(problem: Problem, point: Point) -> StageEstimate:
     """Return the estimate of a fitted model."""
     if not point.model.fitted:
-        return Estimate.none()
-    return Estimate.of(point.model, whole_covariance(problem, point)[0])
+        return StageEstimate.none()
+    return StageEstimate.of(point.model, whole_covariance(problem, point)[0])
 
 
-def joint(estimates: Sequence[Estimate]) -> Joint | None:
+def joint(estimates: Sequence[StageEstimate]) -> Joint | None:
     """Return the parameters of all stages together; None without any."""
     fitted = [e for e in estimates if e.names]
     if not fitted:

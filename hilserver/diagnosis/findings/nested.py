@@ -13,11 +13,16 @@ from hilserver.arrays import Array
 from hilserver.diagnosis.decide.effective import has_one_size, same_sign
 from hilserver.diagnosis.decide.predicting import halfway
 from hilserver.diagnosis.decide.promise import falls
-from hilserver.diagnosis.decide.revision import Judged, revised
+from hilserver.diagnosis.decide.revision import JudgedStage, revised
 from hilserver.diagnosis.decide.selection import select
 from hilserver.diagnosis.findings.estimate import estimate_of
 from hilserver.diagnosis.findings.outcome import named_findings
-from hilserver.diagnosis.findings.worth import Answer, Explained, Part, Predictions
+from hilserver.diagnosis.findings.worth import (
+    Explained,
+    MemberStage,
+    Predictions,
+    StageAnswer,
+)
 from hilserver.diagnosis.regression.fitting import fit_without
 from hilserver.diagnosis.regression.gain import HORIZON_S, of_halves
 from hilserver.diagnosis.regression.stages import without
@@ -25,11 +30,13 @@ from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.schema.decisions import Decision
 from hilserver.diagnosis.schema.findings import Finding
 
-Halves = Sequence[Judged | None]
+Halves = Sequence[JudgedStage | None]
 """What is found without each half of the blocks; None if nothing is left."""
 
 
-def answers_of(judged: Mapping[str, Judged], seed: int, jobs: int) -> list[Answer]:
+def answers_of(
+    judged: Mapping[str, JudgedStage], seed: int, jobs: int
+) -> list[StageAnswer]:
     """Return the answer of each stage of one member."""
     halves, answers = judged_by_halves(judged, seed, jobs), []
     for name, one in judged.items():
@@ -42,11 +49,11 @@ def answers_of(judged: Mapping[str, Judged], seed: int, jobs: int) -> list[Answe
             patched = cross_validated(j, mine, before, patched=True)
         estimate = estimate_of(problem, j.point)
         findings = tuple(in_halves(finding, mine) for finding in named_findings(j))
-        answers.append(Answer(whole, patched, j.point.model, findings, estimate))
+        answers.append(StageAnswer(whole, patched, j.point.model, findings, estimate))
     return answers
 
 
-def confirmed(j: Judged, halves: Halves, configured: Array) -> Judged:
+def confirmed(j: JudgedStage, halves: Halves, configured: Array) -> JudgedStage:
     """Return a stage with those effective items that each half finds and both together confirm.
 
     The others stay in what predicts, without a claim.
@@ -105,13 +112,13 @@ def in_halves(finding: Finding, halves: Halves) -> Finding:
 
 
 def judged_by_halves(
-    judged: Mapping[str, Judged], seed: int, jobs: int
+    judged: Mapping[str, JudgedStage], seed: int, jobs: int
 ) -> dict[str, Halves]:
     """Return, for every stage with a cause, what is found in it without each half of its blocks.
 
     The wheels that move the pose turn according to the drive's causes in the whole log.
     """
-    found: dict[str, list[Judged | None]] = {
+    found: dict[str, list[JudgedStage | None]] = {
         name: [] for name, j in judged.items() if j.whole.model.fitted
     }
     for half in range(2 if found else 0):
@@ -132,7 +139,7 @@ def judged_by_halves(
 
 
 def cross_validated(
-    j: Judged, halves: Halves, configured: Array, *, patched: bool = False
+    j: JudgedStage, halves: Halves, configured: Array, *, patched: bool = False
 ) -> Explained:
     """Return what the causes of a stage explain of blocks that had no part in choosing them.
 
@@ -152,7 +159,7 @@ def cross_validated(
         for f in j.point.model.fitted
     ]
 
-    def of_half(half: Judged | None, barred: set[str]) -> Model:
+    def of_half(half: JudgedStage | None, barred: set[str]) -> Model:
         if half is None:
             return Model()
         point, gone = half.whole, barred
@@ -184,5 +191,5 @@ def cross_validated(
 
     found = by_halves(set())
     of_log = [model.without(*model.of_the_machine) for model in found]
-    part = Part("", j, configured, predicted(of_log), predicted(found))
+    part = MemberStage("", j, configured, predicted(of_log), predicted(found))
     return Explained((part,), without_some)

@@ -19,7 +19,7 @@ from hilserver.diagnosis.catalogue.vocabulary import (
 from hilserver.diagnosis.decide.anchors import Anchor
 from hilserver.diagnosis.decide.lost_steps import lost_steps
 from hilserver.diagnosis.decide.predicting import halfway
-from hilserver.diagnosis.decide.revision import Judged
+from hilserver.diagnosis.decide.revision import JudgedStage
 from hilserver.diagnosis.decide.scrubbing import as_friction
 from hilserver.diagnosis.decide.structure import Unknown
 from hilserver.diagnosis.decide.trial import implausible
@@ -39,9 +39,8 @@ from hilserver.diagnosis.thresholds import FEWEST_EVENTS, NEGLIGIBLE
 from hilserver.measured.channels import POSITION, SETPOINTS
 from hilserver.measured.names import signal_unit
 
-COARSE_SHARE: Final = (
-    0.002  # half the interval of a step found in the spectrum, by the step
-)
+# half the interval of a step found in the spectrum, by the step
+COARSE_SHARE: Final = 0.002
 LEAST_OUTLIERS: Final = 0.004  # share of the positions
 
 
@@ -89,7 +88,7 @@ def _wave(f: Fitted, shown: Array) -> dict[str, Parameter]:
     }
 
 
-def named_findings(j: Judged) -> tuple[Finding, ...]:
+def named_findings(j: JudgedStage) -> tuple[Finding, ...]:
     """Return one finding for every item of a patch, in its group; plausible ones come first."""
     problem, point = j.prepared.problem, j.point
     if not point.model.fitted:
@@ -118,12 +117,12 @@ def named_findings(j: Judged) -> tuple[Finding, ...]:
     return tuple(found)
 
 
-def chance(j: Judged, cause: str) -> float:
+def chance(j: JudgedStage, cause: str) -> float:
     """Return the p of an accepted cause; 1 % for one that replaced another."""
     return j.drift.get(cause, j.selected.p.get(cause, 0.01))
 
 
-def other_findings(j: Judged) -> list[Finding]:
+def other_findings(j: JudgedStage) -> list[Finding]:
     """Return what was found in one stage besides fitted causes."""
     problem, found = j.prepared.problem, []
     if j.prepared.coarse_rpm is not None:
@@ -143,7 +142,7 @@ def other_findings(j: Judged) -> list[Finding]:
     return found
 
 
-def _twins(j: Judged, f: Fitted, own: Parameter | None) -> dict[str, Parameter]:
+def _twins(j: JudgedStage, f: Fitted, own: Parameter | None) -> dict[str, Parameter]:
     """Return twins of a cause that the data cannot exclude and that have no candidate."""
     traits, robot = traits_of(f.candidate.cause), j.prepared.problem.stage.robot
     found: dict[str, Parameter] = {}

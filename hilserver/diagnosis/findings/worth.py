@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hilserver.arrays import Array
-from hilserver.diagnosis.decide.revision import Judged
-from hilserver.diagnosis.findings.estimate import Estimate
+from hilserver.diagnosis.decide.revision import JudgedStage
+from hilserver.diagnosis.findings.estimate import StageEstimate
 from hilserver.diagnosis.regression.gain import (
     Pair,
     channel_errors,
@@ -22,11 +22,11 @@ Predictions = tuple[Array, ...]  # one for each member
 
 
 @dataclass(frozen=True)
-class Part:
+class MemberStage:
     """One stage of one member."""
 
     member: str
-    judged: Judged
+    judged: JudgedStage
     # held-out predictions: the configured plant; the same with the log corrected; with all causes
     before: Array
     corrected: Array
@@ -46,7 +46,7 @@ class Part:
 class Explained:
     """What the causes of one stage explain, of one member or of several."""
 
-    parts: tuple[Part, ...]
+    parts: tuple[MemberStage, ...]
     # predictions of the model without some of its causes, which are given by index
     without: Callable[[frozenset[int]], Predictions]
 
@@ -96,7 +96,7 @@ def _ratio(before: float, after: float) -> float:
 
 
 @dataclass(frozen=True)
-class Answer:
+class StageAnswer:
     """The answer of one stage of all members."""
 
     # with all that predicts, and with what a patch holds alone
@@ -104,7 +104,7 @@ class Answer:
     patch: Explained
     model: Model  # what a patch holds
     findings: tuple[Finding, ...]  # one per cause, in the order of the model
-    estimate: Estimate  # all parameters of the model
+    estimate: StageEstimate  # all parameters of the model
 
     def patch_gains(
         self, horizon_s: float, rng: np.random.Generator, whole: dict[str, Gain]

@@ -4,13 +4,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from hilserver.diagnosis.catalogue.candidate import Candidate
-from hilserver.diagnosis.decide.revision import Judged
+from hilserver.diagnosis.decide.revision import JudgedStage
 from hilserver.diagnosis.findings.outcome import chance
 from hilserver.diagnosis.replay.model import Fitted
 
 
 @dataclass(frozen=True)
-class Cause:
+class GroupCause:
     """A cause that at least one group shows."""
 
     fitted: Fitted  # where a fit starts
@@ -35,14 +35,14 @@ class Cause:
         return frozenset({self.name, *self.rivals})
 
 
-def causes_of(judged: Sequence[Judged]) -> list[Cause]:
+def causes_of(judged: Sequence[JudgedStage]) -> list[GroupCause]:
     """Return the causes that the groups show in one stage, without twins of each other.
 
     A cause that one group names alone may have a twin in another group. The one named alone then
     stands for both.
     """
     shown = [cause for j in judged for cause in _of(j, len(judged))]
-    chosen: list[Cause] = []
+    chosen: list[GroupCause] = []
     for cause in sorted(shown, key=lambda c: len(c.names)):
         place = next((i for i, c in enumerate(chosen) if c.name in cause.names), None)
         if place is None:
@@ -58,7 +58,7 @@ def causes_of(judged: Sequence[Judged]) -> list[Cause]:
     return chosen
 
 
-def _of(j: Judged, groups: int) -> list[Cause]:
+def _of(j: JudgedStage, groups: int) -> list[GroupCause]:
     """Return the causes of one group; every group is one more opportunity for chance."""
     out = []
     for f in j.point.model.fitted:
@@ -71,5 +71,5 @@ def _of(j: Judged, groups: int) -> list[Cause]:
             if r.candidate.cause != cause
         }
         p = min(groups * chance(j, cause), 1.0)
-        out.append(Cause(f, rivals, p, cause in j.drift))
+        out.append(GroupCause(f, rivals, p, cause in j.drift))
     return out

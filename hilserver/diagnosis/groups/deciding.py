@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from hilserver.diagnosis.decide.revision import Judged
+from hilserver.diagnosis.decide.revision import JudgedStage
 from hilserver.diagnosis.decide.structure import remaining
 from hilserver.diagnosis.decide.trial import at_bound, implausible, worth_a_name
 from hilserver.diagnosis.decide.unknown import families_of
-from hilserver.diagnosis.groups.causes import Cause, causes_of
+from hilserver.diagnosis.groups.causes import GroupCause, causes_of
 from hilserver.diagnosis.groups.joint_fit import JointFit, fit_in_all
 from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.thresholds import LEAST_GAIN, SCREEN_LEVEL
@@ -21,12 +21,12 @@ class Decided:
     """One stage of all groups."""
 
     names: tuple[str, ...]  # of the groups
-    members: tuple[Judged, ...]
-    causes: tuple[Cause, ...]  # in the order of the model
+    members: tuple[JudgedStage, ...]
+    causes: tuple[GroupCause, ...]  # in the order of the model
     joint: JointFit | None  # None if there is no cause
 
 
-def decided(judged: Mapping[str, Judged]) -> Decided:
+def decided(judged: Mapping[str, JudgedStage]) -> Decided:
     """Return the model of one stage: what some group shows and the others do not exclude.
 
     Causes that the others make superfluous are dropped, one at a time, the weakest first.
@@ -85,7 +85,7 @@ def with_rival(decided: Decided, index: int, rival: Fitted) -> JointFit:
     return fit_in_all(decided.members, models, free)
 
 
-def _model(j: Judged, causes: Sequence[Cause]) -> Model:
+def _model(j: JudgedStage, causes: Sequence[GroupCause]) -> Model:
     """Return the model of a group, with its own values where it has any."""
     own = {f.candidate.label: f for f in j.point.model.fitted}
     model = Model()
@@ -95,7 +95,7 @@ def _model(j: Judged, causes: Sequence[Cause]) -> Model:
     return model
 
 
-def _doubt(joint: JointFit, index: int, cause: Cause) -> float:
+def _doubt(joint: JointFit, index: int, cause: GroupCause) -> float:
     """Return the doubt in a cause: 1 over its evidence; at 1 or above it is not needed."""
     values = [joint.model(group).fitted[index] for group in range(len(joint.members))]
     if not any(map(worth_a_name, values)):

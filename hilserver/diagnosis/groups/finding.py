@@ -6,7 +6,7 @@ import numpy as np
 
 from hilserver.diagnosis.decide.trial import at_bound
 from hilserver.diagnosis.findings.estimate import (
-    Estimate,
+    StageEstimate,
     is_wave,
     priors,
     reported,
@@ -92,7 +92,7 @@ def in_words(finding: Finding) -> str:
     return f"Differs by group. {' '.join(said)}"
 
 
-def estimate_in_groups(joint: JointFit, names: Sequence[str]) -> Estimate:
+def estimate_in_groups(joint: JointFit, names: Sequence[str]) -> StageEstimate:
     """Return all parameters of a stage with one covariance, those that differ as ``name@group``."""
     free, whole = joint.all.free, joint.all.unknowns
     size = len(whole)
@@ -100,14 +100,14 @@ def estimate_in_groups(joint: JointFit, names: Sequence[str]) -> Estimate:
     labels, owner = [""] * size, np.zeros(size, dtype=np.int64)
     for group, place in enumerate(joint.all.places):
         model = joint.model(group)
-        own = Estimate.of(model, joint.all.covariance[group])
+        own = StageEstimate.of(model, joint.all.covariance[group])
         turn[np.ix_(place, place)] = reported(model)
         prior[place], value[place], owner[place] = priors(model), own.value, own.owner
         for k, at in enumerate(place.tolist()):
             labels[at] = f"{own.names[k]}@{names[group]}" if free[k] else own.names[k]
     known = np.flatnonzero(np.diag(whole) > 0.0)
     covariance = (turn @ with_priors(whole, prior) @ turn.T)[np.ix_(known, known)]
-    return Estimate(
+    return StageEstimate(
         tuple(labels[i] for i in known),
         tuple(owner[known].tolist()),
         value[known],

@@ -8,7 +8,7 @@ import numpy as np
 
 from hilserver.arrays import Array, Mask
 from hilserver.diagnosis.compare.differences import run_of_spans
-from hilserver.diagnosis.decide.revision import Judged
+from hilserver.diagnosis.decide.revision import JudgedStage
 from hilserver.diagnosis.findings.estimate import is_wave
 from hilserver.diagnosis.groups.sharing import (
     GroupFit,
@@ -24,16 +24,15 @@ from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.thresholds import COMPARE_LEVEL
 
-SILENT: Final = (
-    1e-3  # whitened size of a cause's least effect below which a log does not show it
-)
+# whitened size of a cause's least effect below which a log does not show it
+SILENT: Final = 1e-3
 
 
 @dataclass(frozen=True)
 class JointFit:
     """A model in all groups."""
 
-    members: tuple[Judged, ...]
+    members: tuple[JudgedStage, ...]
     points: tuple[Point, ...]  # of each group, fitted on its own
     fits: tuple[GroupFit, ...]  # what the logs of each group show on their own
     all: Together  # values and covariances, including what is shared
@@ -51,7 +50,7 @@ class JointFit:
             Causes that were fitted with the others but predict nothing.
         """
 
-        def predicted(j: Judged, point: Point, values: Array) -> Array:
+        def predicted(j: JudgedStage, point: Point, values: Array) -> Array:
             model = _with_values(point.model, values).without(*left_out)
             return j.prepared.problem.point(model, point.poses).predicted
 
@@ -73,7 +72,7 @@ class JointFit:
 
 
 def fit_in_all(
-    members: Sequence[Judged], models: Sequence[Model], free: Mask | None = None
+    members: Sequence[JudgedStage], models: Sequence[Model], free: Mask | None = None
 ) -> JointFit:
     """Fit a model in every group.
 

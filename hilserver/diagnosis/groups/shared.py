@@ -11,8 +11,13 @@ import numpy as np
 
 from hilserver.diagnosis.catalogue.candidate import STAGES
 from hilserver.diagnosis.examine import Member
-from hilserver.diagnosis.findings.estimate import Estimate
-from hilserver.diagnosis.findings.worth import Answer, Explained, Part, Predictions
+from hilserver.diagnosis.findings.estimate import StageEstimate
+from hilserver.diagnosis.findings.worth import (
+    Explained,
+    MemberStage,
+    Predictions,
+    StageAnswer,
+)
 from hilserver.diagnosis.groups.deciding import Decided, decided, with_what_remains
 from hilserver.diagnosis.groups.finding import estimate_in_groups, fitted_findings
 from hilserver.diagnosis.groups.joint_fit import fit_in_all
@@ -22,7 +27,7 @@ from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.schema.findings import Detectable, Gain, NotJudged
 
 
-def answers_in_groups(members: Sequence[Member], seed: int) -> list[Answer]:
+def answers_in_groups(members: Sequence[Member], seed: int) -> list[StageAnswer]:
     """Return the answer of each stage of all groups."""
     answers = []
     for stage in STAGES:
@@ -32,12 +37,14 @@ def answers_in_groups(members: Sequence[Member], seed: int) -> list[Answer]:
     return answers
 
 
-def _answer(d: Decided) -> Answer:
+def _answer(d: Decided) -> StageAnswer:
     explained, joint = _explained(d), d.joint
     if joint is None:
-        return Answer(explained, explained, Model(), (), Estimate.none())
+        return StageAnswer(explained, explained, Model(), (), StageEstimate.none())
     estimate = estimate_in_groups(joint, d.names)
-    return Answer(explained, explained, joint.model(0), fitted_findings(d), estimate)
+    return StageAnswer(
+        explained, explained, joint.model(0), fitted_findings(d), estimate
+    )
 
 
 def _explained(d: Decided) -> Explained:
@@ -68,11 +75,11 @@ def _explained(d: Decided) -> Explained:
         ).held_out()
 
     parts = zip(d.names, d.members, configured, corrected, after, strict=True)
-    return Explained(tuple(Part(*part) for part in parts), without)
+    return Explained(tuple(MemberStage(*part) for part in parts), without)
 
 
 def gains_in_groups(
-    answers: Sequence[Answer], horizon_s: float, rng: np.random.Generator
+    answers: Sequence[StageAnswer], horizon_s: float, rng: np.random.Generator
 ) -> tuple[dict[str, Gain], dict[str, dict[str, Gain]]]:
     """Return the gain over all groups, and that of each group."""
     total: dict[str, Gain] = {}

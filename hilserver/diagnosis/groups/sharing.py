@@ -47,14 +47,13 @@ class Together:
     value: Array  # shape (groups, k)
     # shape (groups, k, k): of each group's parameters, with what the others know of shared ones
     covariance: Array
-    misfit: float  # squared distance to the groups' own estimates, weighted by their covariances
+    # squared distance to the groups' own estimates, weighted by their covariances
+    misfit: float
     free: Mask  # shape (k,)
-    places: (
-        Indices  # shape (groups, k): index of the unknown for each parameter of a group
-    )
-    unknowns: (
-        Array  # shape (m, m): covariance of all unknowns; 0 for what no group shows
-    )
+    # shape (groups, k): index of the unknown for each parameter of a group
+    places: Indices
+    # shape (m, m): covariance of all unknowns; 0 for what no group shows
+    unknowns: Array
 
 
 def together(fits: Sequence[GroupFit], free: Mask) -> Together:

@@ -14,7 +14,7 @@ from scipy.special import gammaln
 
 from hilserver.arrays import Array
 from hilserver.diagnosis.noise.whitening import NoiseModel
-from hilserver.diagnosis.noise.windows import SAMPLES_MAX, Windows
+from hilserver.diagnosis.noise.windows import SAMPLES_MAX, NoiseWindows
 from hilserver.diagnosis.thresholds import (
     NOISE_GATED_MAX,
     NOISE_NATS,
@@ -41,7 +41,7 @@ def fit_noise(residuals: Iterable[tuple[Array, Array]]) -> NoiseModel:
         Per span, shape (n,) each; stamps rise, at any intervals.
     """
     residuals = list(residuals)
-    windows = Windows.cut(residuals)
+    windows = NoiseWindows.cut(residuals)
     if windows.samples < 8:
         return NoiseModel(_size([r for _, r in residuals]))
     if not windows.spread > _FALLBACK_SD:
@@ -123,14 +123,14 @@ def robust_weights(samples: Array) -> Array:
     return np.asarray((SHORT_DOF + 1.0) / (SHORT_DOF - 2.0 + np.square(samples)))
 
 
-def _fit(windows: Windows, start: NoiseModel | None) -> NoiseModel:
+def _fit(windows: NoiseWindows, start: NoiseModel | None) -> NoiseModel:
     """Maximise the likelihood over correlation time and share of the coloured part."""
     tau_range = (
         math.log(min(windows.step_s, 0.5 * NOISE_TAU_MAX_S)),
         math.log(NOISE_TAU_MAX_S),
     )
 
-    def loss(point: Sequence[float], subset: Windows = windows) -> float:
+    def loss(point: Sequence[float], subset: NoiseWindows = windows) -> float:
         log_tau = min(max(point[0], tau_range[0]), tau_range[1])
         logit = min(max(point[1], _LOGIT_RANGE[0]), _LOGIT_RANGE[1])
         outside = abs(point[0] - log_tau) + abs(point[1] - logit)

@@ -63,9 +63,8 @@ def plain_noise(parts: Sequence[tuple[Array, Array]]) -> NoiseModel | None:
         return None
     far = FAR_SD * 1.4826 * float(np.median(np.abs(np.concatenate(pieces))))
     if np.mean(np.abs(np.concatenate(pieces)) > far) > NOISE_FEW_FAR:
-        return (
-            None  # outliers would count as noise, and hide the correlation of the rest
-        )
+        # outliers would count as noise, and hide the correlation of the rest
+        return None
     power = sum(float(r @ r) for r in pieces)
     if power <= 0.0:
         return None

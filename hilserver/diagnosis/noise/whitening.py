@@ -24,9 +24,8 @@ class NoiseModel:
     white_sd: float
     ou_sd: float = 0.0
     ou_tau_s: float = 1.0  # correlation time of the Ornstein-Uhlenbeck part
-    tail_dof: float = (
-        math.inf
-    )  # of the innovations' Student-t distribution; infinite: normal
+    # of the innovations' Student-t distribution; infinite: normal
+    tail_dof: float = math.inf
 
     @property
     def sd(self) -> float:

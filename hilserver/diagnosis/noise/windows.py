@@ -20,7 +20,7 @@ _TRIMMED_MEAN_SQUARE = 0.3685  # of a normal variable's smallest 75 % (by size)
 
 
 @dataclass
-class Windows:
+class NoiseWindows:
     """Samples of all windows, one after the other."""
 
     # shape (n,): stamps within the window (centred), residuals, and 1 or 0 for an outlier
@@ -31,7 +31,7 @@ class Windows:
     lines: Array  # shape (windows, 2): level and slope, robust
 
     @classmethod
-    def cut(cls, residuals: Iterable[tuple[Array, Array]]) -> "Windows":
+    def cut(cls, residuals: Iterable[tuple[Array, Array]]) -> "NoiseWindows":
         """Cut spans into equal windows; if there are too many, drop some evenly."""
         pieces: list[tuple[Array, Array]] = []
         for stamps, values in residuals:
@@ -47,7 +47,7 @@ class Windows:
         return cls._of(_evenly(pieces))
 
     @classmethod
-    def _of(cls, pieces: list[tuple[Array, Array]]) -> "Windows":
+    def _of(cls, pieces: list[tuple[Array, Array]]) -> "NoiseWindows":
         if not pieces:
             none = np.zeros(0)
             return cls(none, none, none, np.zeros(1, np.int64), np.zeros((0, 2)))
@@ -78,7 +78,7 @@ class Windows:
         """Robust standard deviation of the residuals themselves."""
         return max(_robust_sd(self.r - float(np.median(self.r))), self.spread)
 
-    def thinned(self, samples_max: int) -> "Windows":
+    def thinned(self, samples_max: int) -> "NoiseWindows":
         """Return some of the windows, chosen evenly, with their weights."""
         count = len(self.starts) - 1
         wanted = max(1, min(count, count * samples_max // max(self.samples, 1)))
@@ -86,7 +86,7 @@ class Windows:
         rows = [np.arange(self.starts[i], self.starts[i + 1]) for i in chosen]
         index = np.concatenate(rows)
         starts = np.cumsum([0, *(len(row) for row in rows)]).astype(np.int64)
-        return Windows(
+        return NoiseWindows(
             self.t_s[index],
             self.r[index],
             self.weights[index],

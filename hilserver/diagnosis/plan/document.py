@@ -12,11 +12,11 @@ from hilserver.diagnosis.schema.findings import NotJudged
 SCHEMA: Final = "hilserver.plan/1"
 
 
-class _Model(BaseModel):
+class _PlanModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
 
 
-class Visible(_Model):
+class Visible(_PlanModel):
     """How small an effect of a cause may be."""
 
     cause: str
@@ -28,7 +28,7 @@ class Visible(_Model):
     shows: bool = Field(description="whether it shows at its reference size")
 
 
-class Group(_Model):
+class Group(_PlanModel):
     """Causes that the manoeuvre cannot tell apart at their reference sizes."""
 
     causes: tuple[str, ...]
@@ -36,7 +36,7 @@ class Group(_Model):
     separating_experiment: str
 
 
-class Prospect(_Model):
+class Prospect(_PlanModel):
     """What one manoeuvre can show."""
 
     duration_s: float
@@ -46,7 +46,7 @@ class Prospect(_Model):
     not_judged: tuple[NotJudged, ...]
 
 
-class Missing(_Model):
+class Missing(_PlanModel):
     """What a channel that is not recorded would add to the planned manoeuvre."""
 
     channel: str
@@ -67,7 +67,7 @@ class Proposed(Prospect):
     scenario: str
 
 
-class PlanDocument(_Model):
+class PlanDocument(_PlanModel):
     """``plan.json``."""
 
     schema_: Literal["hilserver.plan/1"] = Field(default=SCHEMA, alias="schema")

@@ -29,7 +29,7 @@ LINEAR_REACH: Final = 1.5
 
 
 @dataclass(frozen=True)
-class Direction:
+class GramDirection:
     """One candidate in the Gram matrix."""
 
     candidate: Candidate
@@ -43,7 +43,7 @@ class Direction:
         return self.candidate.cause
 
 
-def directions_of(library: Library) -> list[Direction]:
+def directions_of(library: Library) -> list[GramDirection]:
     """Return where each candidate lies in the Gram matrix of a library's columns."""
     found = []
     for i, c in enumerate(library.candidates):
@@ -60,7 +60,7 @@ def directions_of(library: Library) -> list[Direction]:
             units = (
                 (1.0,) if c.n == 1 else tuple(1.0 / float(n) for n in library.norms[i])
             )
-        found.append(Direction(c, rows, units, sizes))
+        found.append(GramDirection(c, rows, units, sizes))
     return found
 
 
@@ -83,7 +83,7 @@ def grams_by_span(library: Library, n_spans: int) -> Array:
 
 
 def sizes_of(
-    directions: Sequence[Direction], gram: Array, needed: float = T_NEEDED
+    directions: Sequence[GramDirection], gram: Array, needed: float = T_NEEDED
 ) -> Array:
     """Return the smallest detectable size of each candidate as a share of its reference size.
 
@@ -101,7 +101,7 @@ def sizes_of(
     return out
 
 
-def alike(directions: Sequence[Direction], gram: Array) -> Array:
+def alike(directions: Sequence[GramDirection], gram: Array) -> Array:
     """Return the |cos| of any two candidates' sensitivities, shape (m, m).
 
     For candidates with two parameters it is the largest over their directions (canonical
@@ -127,7 +127,7 @@ def alike(directions: Sequence[Direction], gram: Array) -> Array:
     return np.asarray(np.sqrt(np.clip(largest, 0.0, 1.0)))
 
 
-def apart(directions: Sequence[Direction], gram: Array) -> Array:
+def apart(directions: Sequence[GramDirection], gram: Array) -> Array:
     """Return how clearly each candidate at its reference size beats its imitations, shape (m, m).
 
     Row i is the truth and column j the rival. What the rival cannot imitate is x deviations long;
@@ -144,7 +144,7 @@ def apart(directions: Sequence[Direction], gram: Array) -> Array:
     return np.asarray(np.where(sized[:, None], z, np.inf))
 
 
-def score(directions: Sequence[Direction], gram: Array) -> float:
+def score(directions: Sequence[GramDirection], gram: Array) -> float:
     """Return the worth for a diagnosis: small sizes and clear names of all sized causes."""
     shares, z, total = sizes_of(directions, gram), apart(directions, gram), 0.0
     owner = np.array([d.cause for d in directions])
@@ -162,7 +162,7 @@ def _worth(times: float) -> float:
     return float(np.log2(1.0 + min(max(times, 0.0), ENOUGH_TIMES)))
 
 
-def nearest(directions: Sequence[Direction]) -> dict[str, list[int]]:
+def nearest(directions: Sequence[GramDirection]) -> dict[str, list[int]]:
     """Return the candidates that represent each cause: of several start values, the nearest one.
 
     A cause with several shapes (regions of the floor, wheels) keeps them all.

@@ -22,7 +22,7 @@ from hilserver.measured.channels import (
     VOLTAGE,
     YAW,
 )
-from hilserver.measured.data import Channel, MeasuredLog, Source, Span
+from hilserver.measured.data import Channel, LogSource, MeasuredLog, Span
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import NOMINAL_V
 
@@ -53,7 +53,7 @@ AT_ONCE_S: Final = 1e6
 
 
 @dataclass(frozen=True)
-class Recording:
+class PlannedRecording:
     """How the experiment will be recorded."""
 
     channels: tuple[str, ...] = ALL  # measured signals, besides the set-points
@@ -71,7 +71,7 @@ class Studio:
     report: Report
 
     def null_log(
-        self, spans: Sequence[Manoeuvre], recording: Recording
+        self, spans: Sequence[Manoeuvre], recording: PlannedRecording
     ) -> tuple[MeasuredLog, np.random.Generator]:
         """Return the log of manoeuvres, and the generator that produced its noise."""
         rng = np.random.default_rng(self.seed)
@@ -81,7 +81,7 @@ class Studio:
 def null_log(
     spans: Sequence[Manoeuvre],
     robot: RobotParameters,
-    recording: Recording,
+    recording: PlannedRecording,
     rng: np.random.Generator | None,
     terms: Mapping[str, float] | None = None,
 ) -> MeasuredLog:
@@ -107,7 +107,7 @@ def null_log(
     for name in (*SPEEDS, *DUTIES, *POSITION, YAW, GYRO, VOLTAGE):
         channels[name] = _empty(tags if name in (*POSITION, YAW) else rows, begin)
     log = MeasuredLog(
-        (Source("planned", ""),),
+        (LogSource("planned", ""),),
         channels,
         tuple(
             Span(i, None, float(begin[i]), float(begin[i] + m.duration_s))
@@ -204,7 +204,7 @@ def path_of(
     spans: Sequence[Manoeuvre], robot: RobotParameters
 ) -> list[tuple[Array, Array, Array]]:
     """Return x [m], y [m] and yaw [rad] that the model drives in each span, from the origin."""
-    log = null_log(spans, robot, Recording((*POSITION, YAW)), None)
+    log = null_log(spans, robot, PlannedRecording((*POSITION, YAW)), None)
     return [
         (log[POSITION[0]].of(i)[1], log[POSITION[1]].of(i)[1], log[YAW].of(i)[1])
         for i in range(len(spans))

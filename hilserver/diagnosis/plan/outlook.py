@@ -12,7 +12,7 @@ from hilserver.diagnosis.checks.standstill import at_rest
 from hilserver.diagnosis.findings.detectable import smallest
 from hilserver.diagnosis.plan.information import (
     Z_APART,
-    Direction,
+    GramDirection,
     alike,
     apart,
     directions_of,
@@ -22,7 +22,7 @@ from hilserver.diagnosis.plan.information import (
     sizes_of,
 )
 from hilserver.diagnosis.plan.manoeuvre import Manoeuvre
-from hilserver.diagnosis.plan.null_log import Recording, Studio
+from hilserver.diagnosis.plan.null_log import PlannedRecording, Studio
 from hilserver.diagnosis.regression.screen import critical, null_maxima
 from hilserver.diagnosis.regression.stages import Prepared, prepare_all
 from hilserver.diagnosis.replay.judgeable import vocabulary_reasons
@@ -68,7 +68,9 @@ class Outlook:
         return [c for c in self.shown if c not in together]
 
 
-def look(spans: Sequence[Manoeuvre], recording: Recording, studio: Studio) -> Outlook:
+def look(
+    spans: Sequence[Manoeuvre], recording: PlannedRecording, studio: Studio
+) -> Outlook:
     """Replay a manoeuvre, add the reference noises and ask what a diagnosis could find."""
     log, rng = studio.null_log(spans, recording)
     prepared, reasons = prepare_all(log, studio.robot, studio.jobs, studio.report)
@@ -120,7 +122,7 @@ def judge(
     return Outlook(sizes, grouped(pairs), pairs, reasons, total)
 
 
-def limits(directions: Sequence[Direction], gram: Array) -> dict[str, Detectable]:
+def limits(directions: Sequence[GramDirection], gram: Array) -> dict[str, Detectable]:
     """Return the largest visible limits; `smallest` cannot, as their null is not a number."""
     found: dict[str, Detectable] = {}
     for d, share in zip(directions, sizes_of(directions, gram), strict=True):
@@ -134,7 +136,7 @@ def limits(directions: Sequence[Direction], gram: Array) -> dict[str, Detectable
 
 
 def confused(
-    directions: Sequence[Direction], gram: Array, visible: set[str]
+    directions: Sequence[GramDirection], gram: Array, visible: set[str]
 ) -> dict[tuple[str, str], float]:
     """Return the pairs of visible causes that imitate each other, with their |cos|.
 

@@ -15,7 +15,13 @@ from hilserver.diagnosis.plan.manoeuvre import (
     of_log,
     of_scenario,
 )
-from hilserver.diagnosis.plan.null_log import ALL, GROUPS, Recording, Studio, path_of
+from hilserver.diagnosis.plan.null_log import (
+    ALL,
+    GROUPS,
+    PlannedRecording,
+    Studio,
+    path_of,
+)
 from hilserver.diagnosis.plan.outlook import Outlook, look
 from hilserver.diagnosis.plan.pieces import Piece, of_moves, pieces
 from hilserver.diagnosis.plan.search import choose, information_of
@@ -41,9 +47,8 @@ class Wish:
     # measured signals of the experiment; None: those of the log; all for a scenario
     channels: tuple[str, ...] | None = None
     rate_hz: float = 50.0
-    duration_s: float | None = (
-        None  # of the better manoeuvre; None: that of the given one
-    )
+    # of the better manoeuvre; None: that of the given one
+    duration_s: float | None = None
     room_m: tuple[float, float] = ROOM_M
     seed: int = 0
     jobs: int = 2
@@ -77,7 +82,7 @@ def plan(
         If no piece fits into the room or the time.
     """
     given = read(wish, assembly.robot)
-    recording = Recording(wish.channels or given.channels, wish.rate_hz)
+    recording = PlannedRecording(wish.channels or given.channels, wish.rate_hz)
     studio = Studio(given.robot, wish.seed, wish.jobs, report)
     now = look(given.spans, recording, studio)
     chosen = _better(
@@ -141,7 +146,10 @@ def read(wish: Wish, robot: RobotParameters) -> Given:
 
 
 def _better(
-    studio: Studio, recording: Recording, room_m: tuple[float, float], duration_s: float
+    studio: Studio,
+    recording: PlannedRecording,
+    room_m: tuple[float, float],
+    duration_s: float,
 ) -> list[Piece]:
     left_s = duration_s - START.duration_s
     able = [p for p in pieces(studio.robot, room_m) if p.manoeuvre.duration_s <= left_s]
@@ -175,7 +183,10 @@ def _sides(room_m: tuple[float, float]) -> str:
 
 
 def _missing(
-    studio: Studio, spans: Sequence[Manoeuvre], recording: Recording, now: Outlook
+    studio: Studio,
+    spans: Sequence[Manoeuvre],
+    recording: PlannedRecording,
+    now: Outlook,
 ) -> tuple[Missing, ...]:
     """Return what each channel that is not recorded would add."""
     found = []

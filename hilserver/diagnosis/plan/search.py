@@ -7,12 +7,12 @@ import numpy as np
 
 from hilserver.arrays import Array
 from hilserver.diagnosis.plan.information import (
-    Direction,
+    GramDirection,
     directions_of,
     grams_by_span,
     score,
 )
-from hilserver.diagnosis.plan.null_log import Recording, Studio
+from hilserver.diagnosis.plan.null_log import PlannedRecording, Studio
 from hilserver.diagnosis.plan.pieces import Piece
 from hilserver.diagnosis.progress import Report
 from hilserver.diagnosis.regression.stages import prepare, stages_of
@@ -26,12 +26,12 @@ LEAST_BETTER = 0.01
 class Information:
     """The information of every piece on one stage; shapes (pieces, k, k)."""
 
-    directions: list[Direction]
+    directions: list[GramDirection]
     grams: Array
 
 
 def information_of(
-    found: Sequence[Piece], recording: Recording, studio: Studio
+    found: Sequence[Piece], recording: PlannedRecording, studio: Studio
 ) -> list[Information]:
     """Measure every piece once, each as a span of its own in one null log."""
     log, _ = studio.null_log([piece.manoeuvre for piece in found], recording)

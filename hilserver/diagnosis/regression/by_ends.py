@@ -17,9 +17,8 @@ from hilserver.diagnosis.regression.gain import Windows, missed, windows
 from hilserver.diagnosis.regression.linear import ridge
 from hilserver.diagnosis.regression.problem import Point, Problem
 
-DAMPED_BY_ENDS: Final = (
-    1e-4  # see `linear`: not every parameter affects the end of a run
-)
+# see `linear`: not every parameter affects the end of a run
+DAMPED_BY_ENDS: Final = 1e-4
 MOST_STEPS: Final = 12
 CONVERGED: Final = 1e-3  # share of the cost; a smaller gain ends the iteration
 

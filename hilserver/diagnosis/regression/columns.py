@@ -32,9 +32,8 @@ class Library:
     columns: Columns = field(default_factory=lambda: np.zeros((0, 0), np.float32))
     # shape (blocks, k): sums of their squares
     squares: Columns = field(default_factory=lambda: np.zeros((0, 0), np.float32))
-    norms: list[Array] = field(
-        default_factory=list
-    )  # lengths of columns, if there are several
+    # lengths of columns, if there are several
+    norms: list[Array] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         stack = self.problem.stack

@@ -11,9 +11,8 @@ from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Model
 
 DAMPED: Final = 1e-6  # damping of the steps of a fit, see `linear`
-LEAST_EXPECTED: Final = (
-    0.01  # deviance; a step with a smaller expected gain is not taken
-)
+# deviance; a step with a smaller expected gain is not taken
+LEAST_EXPECTED: Final = 0.01
 AS_EXPECTED: Final = 0.1
 """Share by which a step's gain may miss the linear one if the sensitivities are to be reused."""
 ATTEMPTS: Final = 4
@@ -44,9 +43,8 @@ def fit(
     used = np.ones(problem.stack.n_blocks, dtype=bool) if rows is None else rows
     raw = _columns_near(problem, point, start)
     taken = any(f in start.model.fitted for f in model.fitted)
-    fresh = not taken or np.array_equal(
-        point.predicted, start.predicted
-    )  # none is of elsewhere
+    # none is of elsewhere
+    fresh = not taken or np.array_equal(point.predicted, start.predicted)
     for more in reversed(range(iterations)):
         best, expected = _step(problem, point, raw, used)
         if expected < LEAST_EXPECTED or (best is None and fresh):

@@ -18,9 +18,8 @@ class FreePoses:
     """The samples of each segment: the columns of its initial pose affect no others."""
 
     order: Indices  # shape (n,): samples, segment by segment
-    ends: (
-        Indices  # shape (segments + 1,): where each segment begins and ends in `order`
-    )
+    # shape (segments + 1,): where each segment begins and ends in `order`
+    ends: Indices
 
     @classmethod
     def of(cls, segment: Indices, segments: int) -> "FreePoses":

@@ -20,9 +20,8 @@ from hilserver.diagnosis.thresholds import FEWEST_BLOCKS
 from hilserver.measured.channels import POSITION, TAG, YAW
 
 RESAMPLES = 400
-SEGMENTS_APART_S = (
-    1e7  # longer than any segment, so that the stamps of two segments differ
-)
+# longer than any segment, so that the stamps of two segments differ
+SEGMENTS_APART_S = 1e7
 HORIZON_S = 5.0  # length of the free runs for which the gain is reported
 HORIZONS_S = (1.0, 2.0, 5.0, 10.0, 20.0)
 

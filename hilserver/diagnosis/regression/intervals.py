@@ -56,9 +56,8 @@ def whole_covariance(
     ticks = np.array([ROUNDED * traits_of(cause).whole_ticks for cause in causes])
     variance = np.diag(cov) + (share * point.model.theta()) ** 2
     if problem.is_short:  # see `halfway`: its additional variance (Hausman 1978)
-        variance += (
-            linear.ridge(columns, point.left) ** 2
-        )  # one distance shows no correlation
+        # one distance shows no correlation
+        variance += linear.ridge(columns, point.left) ** 2
     np.fill_diagonal(cov, variance + (ticks * problem.stage.robot.period_s) ** 2)
     return cov, max(dof, 2)
 

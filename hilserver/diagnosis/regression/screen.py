@@ -27,12 +27,10 @@ from hilserver.compiled import kernel
 from hilserver.diagnosis.thresholds import SCREEN_LEVEL
 
 Real = NDArray[Any]  # of 32 or 64 bits
-LEAST_FREEDOM: Final = (
-    0.5  # degrees of freedom of a direction that shows in a single block
-)
-FLIPS: Final = (
-    4999  # draws of the blocks' signs; p is at least about one over this number
-)
+# degrees of freedom of a direction that shows in a single block
+LEAST_FREEDOM: Final = 0.5
+# draws of the blocks' signs; p is at least about one over this number
+FLIPS: Final = 4999
 
 
 @dataclass(frozen=True)
@@ -40,10 +38,12 @@ class Scores:
     """Scores of the directions of one stage."""
 
     blocks: Array  # shape (blocks, k): efficient score of each block
-    own: Array  # shape (blocks, k): sum of squares of the efficient column over each block
+    # shape (blocks, k): sum of squares of the efficient column over each block
+    own: Array
     t: Array  # shape (k,): sum of the scores over its deviation, as a normal deviate
     deviation: Array  # shape (k,)
-    freedom: Array  # shape (k,): degrees of freedom of the deviation: blocks that count, minus one
+    # shape (k,): degrees of freedom of the deviation: blocks that count, minus one
+    freedom: Array
     information: Array  # shape (k,): sum of squares of the efficient column
     gain: Array  # shape (k,): deviance that the direction would save, linearly
     size: Array  # shape (k,): step along the direction that would save it

@@ -12,9 +12,8 @@ from hilserver.measured.data import MeasuredLog
 
 SAME_START_M: Final = 0.01
 FEWEST_STARTS: Final = 4
-FEW: Final = (
-    0.02  # share of the samples that the driven area may leave out on each side
-)
+# share of the samples that the driven area may leave out on each side
+FEW: Final = 0.02
 
 
 def begins_anew(log: MeasuredLog) -> bool:

@@ -8,8 +8,8 @@ import numpy as np
 from hilserver.arrays import Array, Indices
 from hilserver.config.patch import FittedIn
 from hilserver.diagnosis.catalogue.vocabulary import OF_THE_LOG, unit_of
-from hilserver.diagnosis.decide.revision import Judged
-from hilserver.diagnosis.findings.worth import Part
+from hilserver.diagnosis.decide.revision import JudgedStage
+from hilserver.diagnosis.findings.worth import MemberStage
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.gain import (
     HORIZONS_S,
@@ -24,11 +24,11 @@ from hilserver.diagnosis.report.course import courses
 from hilserver.diagnosis.report.dependence import dependences
 from hilserver.diagnosis.schema.decisions import ScreenRow
 from hilserver.diagnosis.schema.evidence import (
+    ChannelSeries,
     Evidence,
     FittedTerm,
     HorizonRow,
     Path,
-    Series,
     Similarity,
 )
 from hilserver.measured.channels import POSITION, SPEEDS, VOLTAGE, YAW
@@ -42,7 +42,7 @@ HALF_AS_LARGE = 0.5
 
 def evidence(
     log: MeasuredLog,
-    stages: Sequence[Part],
+    stages: Sequence[MemberStage],
     terms: tuple[FittedTerm, ...],
     timings_s: Mapping[str, float],
 ) -> Evidence:
@@ -80,7 +80,7 @@ def evidence(
     )
 
 
-def _series(part: Part, extended: bool) -> list[Series]:
+def _series(part: MemberStage, extended: bool) -> list[ChannelSeries]:
     problem, stack = part.problem, part.problem.stack
     span = problem.stage.segments.span[stack.segment]
     first, second = problem.residual(part.before), problem.residual(part.after)
@@ -91,7 +91,7 @@ def _series(part: Part, extended: bool) -> list[Series]:
         if name == YAW:
             measured = _unwrapped(measured, span[e])
         out.append(
-            Series(
+            ChannelSeries(
                 name,
                 signal_unit(name),
                 stack.t_s[e],
@@ -111,7 +111,7 @@ def _unwrapped(values: Array, span: Indices) -> Array:
     return out
 
 
-def _screen(judged: Judged) -> list[ScreenRow]:
+def _screen(judged: JudgedStage) -> list[ScreenRow]:
     library, scores = judged.prepared.library, judged.scores
     maxima = null_maxima([scores], np.random.default_rng(0))
     limit = critical(maxima)
@@ -144,7 +144,7 @@ def _screen(judged: Judged) -> list[ScreenRow]:
     return list(rows.values())
 
 
-def _horizons(part: Part) -> list[HorizonRow]:
+def _horizons(part: MemberStage) -> list[HorizonRow]:
     problem, rng, out = part.problem, np.random.default_rng(0), []
     seen: set[float] = set()
     for horizon_s in HORIZONS_S:
@@ -161,7 +161,7 @@ def _horizons(part: Part) -> list[HorizonRow]:
     return out
 
 
-def _paths(part: Part, extended: bool) -> tuple[Path, ...]:
+def _paths(part: MemberStage, extended: bool) -> tuple[Path, ...]:
     stack = part.problem.stack
     if not all(n in stack.edges for n in POSITION):
         return ()
@@ -196,7 +196,7 @@ def _similarity(library: Library) -> Similarity:
     return Similarity(tuple(first), unit.T @ unit)
 
 
-def _range(log: MeasuredLog, stages: Sequence[Part]) -> FittedIn:
+def _range(log: MeasuredLog, stages: Sequence[MemberStage]) -> FittedIn:
     """Return the range of what happened in the log: beyond it nothing is known."""
     moved: dict[str, Array] = {}
     for p in stages:

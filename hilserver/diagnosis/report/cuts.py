@@ -26,9 +26,8 @@ POSE_STEPS: Final = 2
 """Fits of the free initial poses: from the set-points the pose drifts far away."""
 DENSE_SHARE: Final = 0.5
 """Share of the closed loop's time constant: samples closer than this show the duty in between."""
-FALL: Final = (
-    8.0  # closed-loop time constants after which the duty changes slowly again
-)
+# closed-loop time constants after which the duty changes slowly again
+FALL: Final = 8.0
 REST: Final = 7.0
 """Time constants of the process after which a duty that was not recorded no longer matters."""
 FEWEST: Final = 20

@@ -22,9 +22,8 @@ BASE_S: Final = 1.0  # over which the growth of a pose's error is measured
 BINS: Final = 24
 FEWEST_IN_A_BIN: Final = 3
 ALIKE: Final = 0.98
-PERIODS: Final = (
-    4.0  # a log of at least this many periods is folded over the strongest one
-)
+# a log of at least this many periods is folded over the strongest one
+PERIODS: Final = 4.0
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from hilserver.diagnosis.report.svg import (
     picture,
     span_of,
 )
-from hilserver.diagnosis.report.words import Change
+from hilserver.diagnosis.report.words import RatioInWords
 from hilserver.diagnosis.schema.evidence import (
     Course,
     Dependence,
@@ -92,7 +92,7 @@ def horizons(rows: Sequence[HorizonRow]) -> Figure | None:
     """Draw the gain over the length of a free run, one line per quantity; None without any."""
     runs = [r for r in rows if math.isfinite(r.gain.ratio) and r.gain.ratio > 0]
     gains = [r.gain for r in runs]
-    if all(Change.of(g).is_none for g in gains):
+    if all(RatioInWords.of(g).is_none for g in gains):
         return None
     length_s, ratios = (
         np.array([g.horizon_s for g in gains]),
@@ -134,7 +134,7 @@ def _gain_line(
     for at, value, g in zip(x, ratio, gains, strict=True):
         own = f"{role} ring" if g.ci95 is None else role
         errors = f"{number(g.before, unit)} to {number(g.after, unit)}"
-        title = f"{name}, {number(g.horizon_s)} s: {errors}, {Change.of(g)}"
+        title = f"{name}, {number(g.horizon_s)} s: {errors}, {RatioInWords.of(g)}"
         plot.dots(at[None], value[None], own, [title])
 
 

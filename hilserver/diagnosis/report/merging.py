@@ -7,7 +7,7 @@ import numpy as np
 
 from hilserver.config.patch import FittedIn
 from hilserver.diagnosis.schema.decisions import ScreenRow
-from hilserver.diagnosis.schema.evidence import Evidence, Series
+from hilserver.diagnosis.schema.evidence import ChannelSeries, Evidence
 from hilserver.diagnosis.schema.findings import Interval
 
 PATHS_EACH = 2  # paths of every group that are drawn
@@ -42,9 +42,9 @@ def merged(parts: Mapping[str, Evidence]) -> Evidence:
     )
 
 
-def _series(parts: Iterable[Evidence]) -> tuple[Series, ...]:
+def _series(parts: Iterable[Evidence]) -> tuple[ChannelSeries, ...]:
     """Return every channel over all groups, one after the other."""
-    found: dict[str, Series] = {}
+    found: dict[str, ChannelSeries] = {}
     for item in (item for part in parts for item in part.series):
         known = found.get(item.name)
         if known is None:

@@ -14,13 +14,12 @@ from hilserver.diagnosis.findings.explain import QUANTITIES, explain_finding, nu
 from hilserver.diagnosis.report import figures, tables, words
 from hilserver.diagnosis.report.plain import plain
 from hilserver.diagnosis.report.time_series import improvement, series
-from hilserver.diagnosis.schema.evidence import Evidence, Path, Series
+from hilserver.diagnosis.schema.evidence import ChannelSeries, Evidence, Path
 from hilserver.diagnosis.schema.findings import Findings, Verdict
 from hilserver.diagnosis.thresholds import SCREEN_LEVEL
 
-LEAST_CHANGE: Final = (
-    0.03  # share of a residual below which a channel counts as not changed
-)
+# share of a residual below which a channel counts as not changed
+LEAST_CHANGE: Final = 0.03
 _SECTION: Final = re.compile(r'<section id="(\w+)">.*?<h2>(.*?)</h2>', re.DOTALL)
 _CELL: Final = re.compile(r"<td\b")
 STYLES: Final = ("plot.css", "style.css")
@@ -45,7 +44,7 @@ def render(findings: Findings, evidence: Evidence) -> str:
         The evidence for it; empty parts are left out.
     """
     gains = words.gains(findings)
-    drawn: tuple[Series | Path, ...] = (*evidence.series, *evidence.paths)
+    drawn: tuple[ChannelSeries | Path, ...] = (*evidence.series, *evidence.paths)
     extended = any(item.extended is not None for item in drawn)
     return (
         environment()
@@ -143,7 +142,7 @@ def environment() -> Environment:
         "number": number,
         "sentence": explain_finding,
         "plain": plain,
-        "change": words.Change.of,
+        "change": words.RatioInWords.of,
         "contents": _contents,
         "headed": _headed,
         "interval": figures.interval,

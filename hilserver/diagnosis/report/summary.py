@@ -24,7 +24,7 @@ def summary(findings: Findings) -> str:
     lines += [
         f"  {' '.join(filter(None, ('Error of the', g.name, g.when)))}:"
         f" {number(g.gain.before, g.unit, digits=2)} to {number(g.gain.after, g.unit, digits=2)}"
-        f" ({words.Change.of(g.gain)})"
+        f" ({words.RatioInWords.of(g.gain)})"
         for g in words.gains(findings)
         if not words.is_unchanged(g.gain)
     ]

@@ -15,12 +15,12 @@ from hilserver.diagnosis.report.svg import (
     runs_of,
     span_of,
 )
-from hilserver.diagnosis.schema.evidence import Series
+from hilserver.diagnosis.schema.evidence import ChannelSeries
 
 MAX_MARKS = 60  # run beginnings that are marked; more of them would merge into a bar
 
 
-def series(item: Series) -> Figure:
+def series(item: ChannelSeries) -> Figure:
     """Draw one channel, and below it its residual before and after."""
     t = _continuous(item.t_s, item.run)
     before = item.measured - item.simulated
@@ -72,7 +72,7 @@ def _anew(begins: int) -> str:
     return f"{text} Only one run in {step} is drawn." if step > 1 else text
 
 
-def improvement(item: Series) -> float:
+def improvement(item: ChannelSeries) -> float:
     """Return the mean absolute residual before over that after; 1 without an extension."""
     if item.extended is None:
         return 1.0

@@ -145,7 +145,7 @@ class Gained:
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class RatioInWords:
     """A ratio of errors in words: that many times better, or worse, never 0.5 times better."""
 
     factor: float
@@ -153,7 +153,7 @@ class Change:
     ci95: Interval | None
 
     @classmethod
-    def of(cls, gain: Gain) -> "Change":
+    def of(cls, gain: Gain) -> "RatioInWords":
         """Return the change of an error, from before to after."""
         is_better, ends = not 0.0 < gain.ratio < 1.0, gain.ci95
         factor = gain.ratio if is_better else 1.0 / gain.ratio
@@ -265,7 +265,7 @@ def is_large(row: CutRow) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class Advice:
     """Something to do."""
 
     label: str
@@ -274,7 +274,7 @@ class Step:
     signals: tuple[str, ...] | None = None
 
 
-def steps(findings: Findings) -> list[Step]:
+def steps(findings: Findings) -> list[Advice]:
     """Return what to do, faults of the recording first."""
     items = []
     for item in sorted(
@@ -282,18 +282,18 @@ def steps(findings: Findings) -> list[Step]:
     ):
         if item.separating_experiment:
             items.append(
-                Step(_label(item, "Find out which"), item.separating_experiment)
+                Advice(_label(item, "Find out which"), item.separating_experiment)
             )
         elif item.verdict is Verdict.STRUCTURE_NOT_IN_LIBRARY:
             items.append(
-                Step(_label(item, "Find the cause"), signals=tuple(item.regressors))
+                Advice(_label(item, "Find the cause"), signals=tuple(item.regressors))
             )
         elif item.verdict is Verdict.EFFECTIVE:
-            items.append(Step(_label(item, "Find out what is behind it"), BEHIND))
+            items.append(Advice(_label(item, "Find out what is behind it"), BEHIND))
         elif item.verdict is not Verdict.NO_DIFFERENCE:
             is_patched = findings.model_patch is not None
             items += [
-                Step(_label(item, cause), remedy(cause, patched=is_patched))
+                Advice(_label(item, cause), remedy(cause, patched=is_patched))
                 for cause in item.causes[:1]
             ]
     return list(dict.fromkeys(items))

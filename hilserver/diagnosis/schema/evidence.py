@@ -16,7 +16,7 @@ from hilserver.diagnosis.schema.findings import Findings, Gain, Parameter
 
 
 @dataclass(frozen=True, slots=True)
-class Series:
+class ChannelSeries:
     """One measured channel and both models, at the stamps of its samples.
 
     Angles are unwrapped.
@@ -42,9 +42,8 @@ class Path:
     measured: Array
     simulated: Array
     extended: Array | None
-    begins: tuple[
-        int, ...
-    ] = ()  # rows at which the models begin anew, without the first
+    # rows at which the models begin anew, without the first
+    begins: tuple[int, ...] = ()
     group: str = ""  # of logs; empty without groups
 
     @property
@@ -58,7 +57,8 @@ class Path:
 class CutRow:
     """Residual of a channel when the replay begins at a cut point: it shows the faulty block."""
 
-    cut: str  # ``setpoints`` (whole chain), ``duty`` (process only) or ``speed`` (kinematics only)
+    # ``setpoints`` (whole chain), ``duty`` (process only) or ``speed`` (kinematics only)
+    cut: str
     channel: str
     unit: str
     # of the residual, and what the sensors' noise alone would give, in `unit`
@@ -127,7 +127,7 @@ class FittedTerm:
 class Evidence:
     """All that the report shows besides the findings; missing parts are empty."""
 
-    series: tuple[Series, ...] = ()
+    series: tuple[ChannelSeries, ...] = ()
     paths: tuple[Path, ...] = ()
     cuts: tuple[CutRow, ...] = ()
     screen: tuple[ScreenRow, ...] = ()
@@ -139,9 +139,8 @@ class Evidence:
     # what the machine did in the data that the extension was fitted to
     fitted: FittedIn = field(default_factory=FittedIn)
     timings_s: Mapping[str, float] = field(default_factory=dict)  # wall time by stage
-    remarks: tuple[
-        str, ...
-    ] = ()  # what a reader of the evidence should know, in sentences
+    # what a reader of the evidence should know, in sentences
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

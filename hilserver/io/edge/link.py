@@ -138,7 +138,8 @@ class EdgeLink(Part):
                 while isinstance(error, BaseExceptionGroup):
                     error = error.exceptions[0]
                 self._lost(str(error) or type(error).__name__)
-            self._drop()  # the library keeps the socket of a connection that was not answered
+            # the library keeps the socket of a connection that was not answered
+            self._drop()
             if time.monotonic() - begun_s > LONGEST_PAUSE_S:
                 pause_s = FIRST_PAUSE_S
             await asyncio.sleep(pause_s * random.uniform(0.8, 1.2))  # noqa: S311 -- no secret

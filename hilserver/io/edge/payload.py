@@ -180,9 +180,8 @@ def written(collection: Collection, data: bytes) -> Mapping[str, object]:
     if len(data) > MOST_BYTES:
         raise ValueError(f"{len(data)} bytes are more than a group has")
     try:
-        message = from_json(
-            data
-        )  # Python's own recurses as deep as a stranger's message nests
+        # Python's own recurses as deep as a stranger's message nests
+        message = from_json(data)
     except ValueError:
         raise ValueError("is not JSON") from None
     points = message.get("vals") if isinstance(message, dict) else None

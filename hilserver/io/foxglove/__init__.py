@@ -8,6 +8,6 @@ from hilserver.io.world import Part, World
 def parts(world: World) -> Iterator[Part]:
     """Yield the endpoint, if the configuration has one."""
     if world.config.foxglove.enabled:
-        from hilserver.io.foxglove.endpoint import Endpoint  # noqa: PLC0415 -- an extra
+        from hilserver.io.foxglove.endpoint import FoxgloveEndpoint  # noqa: PLC0415 -- an extra
 
-        yield Endpoint(world.config.foxglove, world)
+        yield FoxgloveEndpoint(world.config.foxglove, world)

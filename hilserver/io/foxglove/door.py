@@ -55,7 +55,7 @@ def hidden_host() -> str:
     )
 
 
-class Door:
+class ViewerDoor:
     """Listens for viewers and connects those that may enter with the server behind it."""
 
     def __init__(self, origins: Sequence[str], tasks: Supervisor | None = None) -> None:
@@ -88,9 +88,8 @@ class Door:
     def _enter(
         self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
     ) -> None:
-        address, *_ = writer.get_extra_info("peername") or (
-            "unknown",
-        )  # none once it has left
+        # none once it has left
+        address, *_ = writer.get_extra_info("peername") or ("unknown",)
         place = self._places.take(address, writer.transport.abort)
         if place is None:
             writer.transport.abort()

@@ -22,7 +22,7 @@ from hilserver.core.leases import FOXGLOVE
 from hilserver.errors import address_refused
 from hilserver.image import Frame
 from hilserver.io.arrival import WATCH_S, Arrivals
-from hilserver.io.foxglove.door import Door, hidden_host
+from hilserver.io.foxglove.door import ViewerDoor, hidden_host
 from hilserver.io.foxglove.inbox import Inbox
 from hilserver.io.foxglove.scene import scene
 from hilserver.io.world import Part, World
@@ -37,9 +37,8 @@ SET: Final = "/hilserver/set"
 SCENE_EVERY_S: Final = 5.0
 MOST_WAITING: Final = 100
 TAKE_EVERY_S: Final = 0.005
-HANDED_OVER_NS: Final = (
-    1_000_000_000  # after a standstill, all that waited is in the inbox then
-)
+# after a standstill, all that waited is in the inbox then
+HANDED_OVER_NS: Final = 1_000_000_000
 _SIGNALS: Final = TypeAdapter(dict[str, Any])
 
 
@@ -55,7 +54,7 @@ class _Twist(BaseModel):
     angular: _Vector = _Vector()
 
 
-class Endpoint(Part):
+class FoxgloveEndpoint(Part):
     """One WebSocket server, run by the SDK in threads of its own."""
 
     section = label = "foxglove"
@@ -78,14 +77,12 @@ class Endpoint(Part):
         )
         self._transforms = FrameTransformChannel("/transforms", context=self._context)
         self._scene = SceneUpdateChannel("/scene", context=self._context)
-        self._door = Door(config.origins, world.tasks)
+        self._door = ViewerDoor(config.origins, world.tasks)
         self._arrivals = Arrivals(
             round(world.config.page.deadman_ms * 1e6), HANDED_OVER_NS
         )
-        self._shown, self._scene_s = (
-            -1,
-            0.0,
-        )  # the frame shown last, when the hall is due again
+        # the frame shown last, when the hall is due again
+        self._shown, self._scene_s = -1, 0.0
         self._server: Any = None
         self._jobs: list[SupervisedTask] = []
 

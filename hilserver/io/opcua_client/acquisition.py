@@ -14,8 +14,8 @@ from asyncua import ua
 
 from hilserver.config.peers import PeerConfig
 from hilserver.io.link_status import PeerStatus
-from hilserver.io.opcua_client.session import Session, judge, read_request
-from hilserver.io.opcua_client.subscription import Grant, Subscription
+from hilserver.io.opcua_client.session import PeerSession, judge, read_request
+from hilserver.io.opcua_client.subscription import Grant, PeerSubscription
 from hilserver.io.peer_link.intake import FaultyIntake
 from hilserver.period import every
 
@@ -51,7 +51,7 @@ def too_many_missed(received: int, missed: int) -> str:
 class Acquisition:
     """Brings the samples of one session to the intake."""
 
-    session: Session
+    session: PeerSession
     config: PeerConfig
     status: PeerStatus
     intake: FaultyIntake
@@ -77,7 +77,7 @@ class Acquisition:
     async def _subscribe(self) -> str:
         """Stay subscribed; return, in mode auto, why polling is better."""
         config, intake = self.config, self.intake
-        subscription = Subscription(
+        subscription = PeerSubscription(
             self.session,
             intake,
             poll_ms=config.poll_ms,
@@ -115,7 +115,7 @@ class Acquisition:
                 missing = await subscription.add(missing)
                 grant = subscription.grant
 
-    async def _observe(self, subscription: Subscription, duration_s: float) -> str:
+    async def _observe(self, subscription: PeerSubscription, duration_s: float) -> str:
         """Watch the running subscription for a while; return why it is too slow, if it is."""
         received, missed = self.status.sequence_received, self.status.sequence_missed
         await subscription.watch(duration_s)

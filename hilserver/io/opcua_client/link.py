@@ -10,7 +10,7 @@ from hilserver.config.peers import PeerConfig
 from hilserver.faults.links import Lane
 from hilserver.io.opcua_client.acquisition import Acquisition
 from hilserver.io.opcua_client.security import LinkSecurity
-from hilserver.io.opcua_client.session import Session, utc_ns_of
+from hilserver.io.opcua_client.session import PeerSession, utc_ns_of
 from hilserver.io.opcua_client.writer import PeerWriter
 from hilserver.io.peer_link.link import Peer, describe
 from hilserver.io.peer_link.samples import OF_OPCUA, FaultKind
@@ -49,7 +49,7 @@ class PeerLink(Peer):
 
     async def converse(self) -> None:
         """Hold one session."""
-        async with Session(self.config.endpoint, self._security) as session:
+        async with PeerSession(self.config.endpoint, self._security) as session:
             await self._work(session)
 
     @staticmethod
@@ -61,7 +61,7 @@ class PeerLink(Peer):
             return f"the peer answered {error.__class__.__name__}"
         return describe(error)
 
-    async def _work(self, session: Session) -> None:
+    async def _work(self, session: PeerSession) -> None:
         status, now_ns = self.status, time.monotonic_ns()
         await session.read_clock()
         intake = self.enter()
@@ -95,7 +95,7 @@ class PeerLink(Peer):
         now_ns = time.monotonic_ns()
         self._faults.report(FaultKind.SLOW_RATE, self.config.name, sentence, now_ns)
 
-    async def _heartbeat(self, session: Session) -> None:
+    async def _heartbeat(self, session: PeerSession) -> None:
         """Measure round trip and clock offset; a missing answer ends the session by timeout."""
         offset = self._intake.offset
         hunt_at_s = 0.0
@@ -112,7 +112,7 @@ class PeerLink(Peer):
                 self.status.clock_offset_s = offset.offset_ns * 1e-9
             await asyncio.sleep(HEARTBEAT_S)
 
-    async def _read_clock(self, session: Session) -> bool:
+    async def _read_clock(self, session: PeerSession) -> bool:
         sent_ns = time.monotonic_ns()
         peer_ns = utc_ns_of(await session.read_clock())
         received_ns = time.monotonic_ns()

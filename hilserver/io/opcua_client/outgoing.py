@@ -34,7 +34,7 @@ _BUILT_IN: Final = {
 } | _ABSTRACT
 
 
-class Form(IntEnum):
+class SentForm(IntEnum):
     """What is sent with a value; a server may refuse status and stamp (Part 4, 5.11.4)."""
 
     WHOLE = 0
@@ -45,12 +45,12 @@ class Form(IntEnum):
     @property
     def has_status(self) -> bool:
         """Whether the status is sent."""
-        return self in (Form.WHOLE, Form.STATUS)
+        return self in (SentForm.WHOLE, SentForm.STATUS)
 
     @property
     def has_stamp(self) -> bool:
         """Whether the source time stamp is sent."""
-        return self in (Form.WHOLE, Form.STAMPED)
+        return self in (SentForm.WHOLE, SentForm.STAMPED)
 
 
 class UnfitError(ValueError):
@@ -96,7 +96,7 @@ def _whole(value: object, kind: ua.VariantType, _is_bad: bool) -> bool | int:
 
 
 def data_value(
-    value: ua.Variant, form: Form, status: int, stamp: datetime
+    value: ua.Variant, form: SentForm, status: int, stamp: datetime
 ) -> ua.DataValue:
     """Return the value to send; without this the library would fill in a missing status."""
     return ua.DataValue(

@@ -63,7 +63,7 @@ def read_request(
     return parameters
 
 
-class Session:
+class PeerSession:
     """An open session; use it as an async context manager.
 
     Parameters
@@ -91,7 +91,7 @@ class Session:
         # the raw services (read, write, create_subscription, ...)
         self.services: Any = self._client.uaclient.session
 
-    async def __aenter__(self) -> "Session":
+    async def __aenter__(self) -> "PeerSession":
         try:
             async with time_limit(OPEN_TIMEOUT_S, at_most_s=OPEN_AT_MOST_S):
                 if self._security is not None:
@@ -143,9 +143,8 @@ class Session:
 
         def make() -> Any:
             protocol = make_protocol()
-            protocol.timeout = (
-                OPEN_AT_MOST_S  # until it is open: what limits that counts our time
-            )
+            # until it is open: what limits that counts our time
+            protocol.timeout = OPEN_AT_MOST_S
             receive = protocol.data_received
 
             def data_received(data: bytes) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 from asyncua import ua
 
-from hilserver.io.opcua_client.session import Session, judge
+from hilserver.io.opcua_client.session import PeerSession, judge
 from hilserver.io.peer_link.intake import FaultyIntake
 from hilserver.io.peer_link.samples import LinkLostError
 
@@ -29,7 +29,7 @@ class Grant:
     sampling_ms: float
 
 
-class Subscription:
+class PeerSubscription:
     """One subscription for all nodes of a peer.
 
     Parameters
@@ -43,7 +43,7 @@ class Subscription:
 
     def __init__(
         self,
-        session: Session,
+        session: PeerSession,
         intake: FaultyIntake,
         *,
         poll_ms: float,

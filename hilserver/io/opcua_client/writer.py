@@ -10,13 +10,13 @@ from hilserver.config.peers import PeerConfig
 from hilserver.faults.links import Lane, PeerLine
 from hilserver.io.link_status import FaultBook, PeerStatus
 from hilserver.io.opcua_client.outgoing import (
-    Form,
+    SentForm,
     UnfitError,
     data_value,
     variant,
     variant_type,
 )
-from hilserver.io.opcua_client.session import Session
+from hilserver.io.opcua_client.session import PeerSession
 from hilserver.io.peer_link.link import Output
 from hilserver.io.peer_link.samples import FaultKind, LinkLostError
 from hilserver.period import every
@@ -30,7 +30,7 @@ class PeerWriter:
 
     def __init__(
         self,
-        session: Session,
+        session: PeerSession,
         config: PeerConfig,
         status: PeerStatus,
         faults: FaultBook,
@@ -46,7 +46,7 @@ class PeerWriter:
         self._utc = utc
         self._lane = lane or Lane(PeerLine(config.name), "out")
         self._targets: dict[str, tuple[ua.NodeId, ua.VariantType]] = {}
-        self._forms: dict[str, Form] = {}
+        self._forms: dict[str, SentForm] = {}
         self._look_again_s = 0.0
 
     async def run(self) -> None:
@@ -93,7 +93,10 @@ class PeerWriter:
         """Return what is written for a signal now; None if nothing can be."""
         node, kind = self._targets[signal]
         value, status, monotonic_ns = output
-        form, address = self._forms.get(signal, Form.WHOLE), self._config.write[signal]
+        form, address = (
+            self._forms.get(signal, SentForm.WHOLE),
+            self._config.write[signal],
+        )
         is_honest = self._config.write_status == "honest"
         if is_bad(status) and not (is_honest and form.has_status):
             return None  # without its status it would pass for a good value
@@ -114,12 +117,12 @@ class PeerWriter:
 
     def _on_refused(self, signal: str, result: ua.StatusCode) -> None:
         node = self._config.write[signal]
-        form = self._forms.get(signal, Form.WHOLE)
+        form = self._forms.get(signal, SentForm.WHOLE)
         if (
             result.value == ua.StatusCodes.BadWriteNotSupported
-            and form is not Form.BARE
+            and form is not SentForm.BARE
         ):
-            self._forms[signal] = Form(form + 1)
+            self._forms[signal] = SentForm(form + 1)
             return
         if result.value == ua.StatusCodes.BadNodeIdUnknown:
             del self._targets[signal]

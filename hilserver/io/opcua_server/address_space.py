@@ -27,7 +27,7 @@ _CLASSES = {
 }
 
 
-class Place(NamedTuple):
+class NodePlace(NamedTuple):
     """Where a node is added, and by which reference."""
 
     node_id: ua.NodeId
@@ -54,20 +54,20 @@ class AddressSpaceBuilder:
         """Return a browse name in our namespace."""
         return ua.QualifiedName(text, self._index)
 
-    def _place(self, path: str, name: str, parent: str, reference: int) -> Place:
+    def _place(self, path: str, name: str, parent: str, reference: int) -> NodePlace:
         """Return the place of one of our nodes below another one."""
-        return Place(
+        return NodePlace(
             self.node_id(path), self.name(name), self.node_id(parent), reference
         )
 
     def roots(self) -> None:
         """Add DI's DeviceSet and the robot below it."""
         kinds, name = ua.ObjectIds, ua.QualifiedName("DeviceSet", self._di_index)
-        device_set = Place(self.device_set, name, OBJECTS, kinds.Organizes)
+        device_set = NodePlace(self.device_set, name, OBJECTS, kinds.Organizes)
         self._object(
             device_set, kinds.BaseObjectType, "Contains all instances of devices"
         )
-        robot = Place(
+        robot = NodePlace(
             self.robot, self.name("Robot"), self.device_set, kinds.HasComponent
         )
         events = ua.EventNotifier.SubscribeToEvents.mask
@@ -86,7 +86,7 @@ class AddressSpaceBuilder:
         group = self.node_id(f"{model.ROBOT}.{GROUP}")
         kinds = ua.ObjectIds
         name = ua.QualifiedName(GROUP, self._di_index)
-        place = Place(group, name, self.robot, kinds.HasComponent)
+        place = NodePlace(group, name, self.robot, kinds.HasComponent)
         self._object(place, kinds.FolderType, "Manufacturer and identity of the robot")
         for name, value, kind in entries:
             shown = ua.LocalizedText(value) if kind == LOCALIZED_TEXT else value
@@ -98,7 +98,7 @@ class AddressSpaceBuilder:
         """Describe one of our namespaces where clients look for it (OPC 10000-5, 6.3.13)."""
         kinds, path = ua.ObjectIds, f"namespaces.{index}"
         parent, name = ua.NodeId(kinds.Server_Namespaces), ua.QualifiedName(uri, index)
-        place = Place(self.node_id(path), name, parent, kinds.HasComponent)
+        place = NodePlace(self.node_id(path), name, parent, kinds.HasComponent)
         self._object(place, kinds.NamespaceMetadataType, uri)
         no_ranges = ua.Variant([], ua.VariantType.String, is_array=True)
         for entry, value, kind in (
@@ -177,7 +177,7 @@ class AddressSpaceBuilder:
             self.node_id(f"{owner}.{name}"),
             ua.QualifiedName(name, namespace),
         )
-        place = Place(
+        place = NodePlace(
             node_id, browse_name, self.node_id(owner), ua.ObjectIds.HasProperty
         )
         return self._add(place, attributes, ua.ObjectIds.PropertyType)
@@ -217,7 +217,7 @@ class AddressSpaceBuilder:
         attributes = ua.ObjectTypeAttributes()
         attributes.IsAbstract = False
         kinds, mandatory = ua.ObjectIds, ua.NodeId(ua.ObjectIds.ModellingRule_Mandatory)
-        place = Place(self.node_id(path), self.name(name), base, kinds.HasSubtype)
+        place = NodePlace(self.node_id(path), self.name(name), base, kinds.HasSubtype)
         node_id = self._add(place, attributes)
         for entry, data_type, value in properties:
             typed = ua.Variant(value, ua.VariantType(data_type))
@@ -263,7 +263,7 @@ class AddressSpaceBuilder:
         self._service.add_references([item])[0].check()
 
     def _object(
-        self, place: Place, type_definition: int, about: str, notifier: int = 0
+        self, place: NodePlace, type_definition: int, about: str, notifier: int = 0
     ) -> None:
         attributes = ua.ObjectAttributes()
         attributes.Description = ua.LocalizedText(about)
@@ -271,7 +271,7 @@ class AddressSpaceBuilder:
         self._add(place, attributes, type_definition)
 
     def _add(
-        self, place: Place, attributes: Any, type_definition: int | None = None
+        self, place: NodePlace, attributes: Any, type_definition: int | None = None
     ) -> ua.NodeId:
         attributes.DisplayName = ua.LocalizedText(place.name.Name)
         item = ua.AddNodesItem()

@@ -53,9 +53,8 @@ from hilserver.opcua.settings import Role
 from hilserver.plant.layout import N_SETPOINTS
 from hilserver.signals import Signal, SignalTable
 
-SOURCE = (
-    "opcua"  # name under which clients of this server write, except the operator page
-)
+# name under which clients of this server write, except the operator page
+SOURCE = "opcua"
 
 _Codes = ua.StatusCodes
 STATUS_OF: dict[Refusal, int] = {

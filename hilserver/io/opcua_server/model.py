@@ -21,9 +21,8 @@ if TYPE_CHECKING:  # clients also use these names, and need no compiler
 NAMESPACE_URI = "urn:hilserver:robot"
 DI_NAMESPACE_URI = "http://opcfoundation.org/UA/DI/"
 DI_VERSION = "1.04"  # of OPC 10000-100, whose names we use
-DI_DEVICE_SET = (
-    5001  # numeric identifier of DeviceSet in the DI namespace (OPC 10000-100)
-)
+# numeric identifier of DeviceSet in the DI namespace (OPC 10000-100)
+DI_DEVICE_SET = 5001
 
 ROBOT = "robot"  # node id of the object that holds all our nodes
 GROUPS = {

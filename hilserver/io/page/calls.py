@@ -9,7 +9,7 @@ from typing import Any
 from hilserver.io.opcua_server.method_table import METHOD_OF, STRING
 from hilserver.io.opcua_server.model import PARAMETERS
 from hilserver.io.page.browsers import Browser, Browsers
-from hilserver.io.page.driving import Driving
+from hilserver.io.page.driving import PageDriving
 from hilserver.io.page.hand import RefusedError, WrongPasswordError
 from hilserver.io.page.jobs import Jobs
 from hilserver.io.page.live import Live
@@ -129,7 +129,7 @@ class Calls:
         setup: Setup,
         browsers: Browsers,
         live: Live,
-        driving: Driving,
+        driving: PageDriving,
         jobs: Jobs,
         stopping: Stopping,
     ) -> None:

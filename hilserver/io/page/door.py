@@ -41,10 +41,10 @@ class Use(IntEnum):
     LIVE = 2
 
 
-class Place(asyncio.Protocol):
+class DoorPlace(asyncio.Protocol):
     """One connection, from before its TLS handshake; forwards to the protocol behind."""
 
-    def __init__(self, door: "Door", behind: Any, address: str) -> None:
+    def __init__(self, door: "PageDoor", behind: Any, address: str) -> None:
         self.behind, self.address = behind, address
         self.handshake: SupervisedTask | None = None
         self._door, self._is_over = door, False
@@ -101,7 +101,7 @@ class Place(asyncio.Protocol):
         self.end()
 
 
-class Door:
+class PageDoor:
     """Accepts connections, and gives each a place before it has sent anything.
 
     `behind` makes the protocol that serves one connection.
@@ -117,7 +117,7 @@ class Door:
         self.tls = tls
         self.behind: Callable[[], Any] = asyncio.Protocol
         self._most = most
-        self._places: dict[Any, Place] = {}
+        self._places: dict[Any, DoorPlace] = {}
 
     async def let_in(self, listener: socket.socket) -> None:
         """Accept connections until cancelled."""
@@ -136,7 +136,7 @@ class Door:
                 greeting = partial(self._connect, place, connection)
                 place.handshake = self._tasks.spawn(greeting, "page handshake")
 
-    async def _connect(self, place: Place, connection: socket.socket) -> None:
+    async def _connect(self, place: DoorPlace, connection: socket.socket) -> None:
         limit_s = None if self.tls is None else HEAD_S
         try:
             await asyncio.get_running_loop().connect_accepted_socket(
@@ -149,18 +149,18 @@ class Door:
         ):  # it is gone, or does not speak TLS
             place.end()
 
-    def place(self, address: str) -> Place | None:
+    def place(self, address: str) -> DoorPlace | None:
         """Return a place for a newcomer; if all are taken another yields, if none may: None."""
         if len(self._places) >= self._most:
             first = self._first_to_yield()
             if first is None:
                 return None
             first.end()
-        place = Place(self, self.behind(), address)
+        place = DoorPlace(self, self.behind(), address)
         self._places[place.behind] = place
         return place
 
-    def _first_to_yield(self) -> Place | None:
+    def _first_to_yield(self) -> DoorPlace | None:
         crowd = Counter(place.address for place in self._places.values())
         late_s = time.monotonic() - YIELDS_AFTER_S
         may_yield = (
@@ -173,7 +173,7 @@ class Door:
             may_yield, key=lambda p: (p.use, -crowd[p.address], p.since_s), default=None
         )
 
-    def leave(self, place: Place) -> None:
+    def leave(self, place: DoorPlace) -> None:
         """Free a place."""
         self._places.pop(place.behind, None)
 

@@ -28,7 +28,7 @@ class Seat(Protocol):
 
 
 @dataclass(frozen=True)
-class Command:
+class PageCommand:
     """Set-points, checked: signal to value."""
 
     values: Mapping[str, float | str]
@@ -39,7 +39,7 @@ class Command:
         return not any(v for name, v in self.values.items() if name != "control.mode")
 
     @classmethod
-    def parse(cls, data: Mapping[str, Any]) -> "Command":
+    def parse(cls, data: Mapping[str, Any]) -> "PageCommand":
         """Return the command of a message; RefusedError if it is not one."""
         mode = data.get("mode")
         numbers: list[Any] = []
@@ -58,11 +58,11 @@ class Command:
         return cls({"control.mode": _MODES[mode], **values})
 
 
-_REST = Command.parse({"mode": "twist", "linear": 0, "turn": 0})
-_RELEASE = Command({"control.source": "nobody"})
+_REST = PageCommand.parse({"mode": "twist", "linear": 0, "turn": 0})
+_RELEASE = PageCommand({"control.source": "nobody"})
 
 
-class Driving:
+class PageDriving:
     """Hands the newest command of the driver to the daemon; older ones are dropped, never queued.
 
     Only that the hand was at rest in between is not: after a Reset the daemon waits for it.
@@ -72,13 +72,12 @@ class Driving:
     def __init__(self, deadman_ms: float) -> None:
         self.driver: Seat | None = None
         self._deadman_ms = deadman_ms
-        self._next: Command | None = None
+        self._next: PageCommand | None = None
         self._rests = False  # a zero came before it, which the daemon has to see
         self._news = asyncio.Event()
         self._taken_s = -math.inf
-        self._turn = (
-            asyncio.Lock()
-        )  # what one browser sent is completed before another's turn
+        # what one browser sent is completed before another's turn
+        self._turn = asyncio.Lock()
 
     @property
     def is_new(self) -> bool:
@@ -109,7 +108,7 @@ class Driving:
 
     def command(self, seat: Seat, data: Mapping[str, Any]) -> None:
         """Take a command of `seat`; RefusedError if it does not drive or its picture is too old."""
-        command = Command.parse(data)
+        command = PageCommand.parse(data)
         if seat is not self.driver:
             raise RefusedError("you do not have control: take control first")
         seen = data.get("seen")
@@ -139,7 +138,7 @@ class Driving:
                         await self._hand_over(_REST, seat)
                     await self._hand_over(command, seat)
 
-    async def _hand_over(self, command: Command, seat: Seat) -> None:
+    async def _hand_over(self, command: PageCommand, seat: Seat) -> None:
         try:
             if (
                 command is _RELEASE

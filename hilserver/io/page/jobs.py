@@ -50,9 +50,8 @@ class ShareOfTime:
                 )
             except (OSError, IndexError):
                 return False
-            ticks = sum(
-                int(word) for word in words.split()[11:15]
-            )  # with ended children: proc(5)
+            # with ended children: proc(5)
+            ticks = sum(int(word) for word in words.split()[11:15])
             self._marks.append((now_s, ticks / os.sysconf("SC_CLK_TCK")))
         while len(self._marks) > 2 and now_s - self._marks[1][0] >= over_s:
             self._marks.popleft()

@@ -16,8 +16,8 @@ from aiohttp import WSCloseCode, WSMsgType, web
 from hilserver.image import Frame, ImageReader
 from hilserver.image.board import BoardReader
 from hilserver.io.page.browsers import Browser
-from hilserver.io.page.door import Door
-from hilserver.io.page.driving import Driving
+from hilserver.io.page.door import PageDoor
+from hilserver.io.page.driving import PageDriving
 from hilserver.io.page.frames import Selection, stamp_ms
 from hilserver.io.page.hand import RefusedError
 from hilserver.io.page.jobs import Jobs
@@ -101,13 +101,13 @@ class Live:
         self,
         reader: ImageReader,
         slots: Mapping[str, int],
-        driving: Driving,
+        driving: PageDriving,
         *,
         rate_hz: float,
         max_clients: int,
         jobs: Jobs,
         stopping: Stopping,
-        door: Door,
+        door: PageDoor,
         tasks: Supervisor | None = None,
     ) -> None:
         self._tasks = Supervisor() if tasks is None else tasks
@@ -139,9 +139,8 @@ class Live:
             await _close(client, *refusal)
             return client.socket
         welcome = json.dumps({"type": "welcome", "you": client.number})
-        await _ignoring_loss(
-            client.socket.send_str(welcome)
-        )  # before any board or frame
+        # before any board or frame
+        await _ignoring_loss(client.socket.send_str(welcome))
         self._clients[client.number] = client
         self._door.stays(request)
         browser.live += 1

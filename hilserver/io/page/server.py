@@ -15,8 +15,8 @@ from hilserver.io.opcua_server.model import PARAMETERS
 from hilserver.io.page import bundle
 from hilserver.io.page.browsers import COOKIE, Browser, Browsers
 from hilserver.io.page.calls import Calls, WrongTypeError, may_work
-from hilserver.io.page.door import MOST, Door
-from hilserver.io.page.driving import Driving
+from hilserver.io.page.door import MOST, PageDoor
+from hilserver.io.page.driving import PageDriving
 from hilserver.io.page.files import LOG_SUFFIXES, files_in, reports_in, shown_report
 from hilserver.io.page.frames import MAX_PLOTTED, age_ms, history
 from hilserver.io.page.gatekeeper import REPORT_POLICY, Gatekeeper
@@ -32,10 +32,8 @@ from hilserver.time_limit import time_limit
 
 TOKEN_HEADER = "X-Hilserver-Token"  # noqa: S105 - the header's name
 SENT_HEADER = "X-Hilserver-Sent"  # by the clock of the frames
-EXPIRES_MS, FAR_MS = (
-    5_000,
-    2**31,
-)  # beyond: the clock has wrapped, or the browser is ahead
+# beyond: the clock has wrapped, or the browser is ahead
+EXPIRES_MS, FAR_MS = 5_000, 2**31
 BODY_BYTES = 65_536
 BODY_S = 5.0
 SWEEP_S, LOOK_S = 60.0, 1.0
@@ -57,8 +55,8 @@ class PageServer:
             anonymous_may_stop=setup.opcua.anonymous_may_stop,
         )
         self._tasks = Supervisor()
-        self._door = Door(self._tls(), tasks=self._tasks)
-        self._driving = Driving(setup.page.deadman_ms)
+        self._door = PageDoor(self._tls(), tasks=self._tasks)
+        self._driving = PageDriving(setup.page.deadman_ms)
         self._jobs = Jobs(setup, self._tasks)
         self._uploads = Uploads(setup.folder("recordings"))
         self._image = ImageReader.attach(setup.image)

@@ -27,9 +27,8 @@ class OpcUaAccess:
     # marks the page's sessions; empty: they are like those of any client
     secret: str = field(default="", repr=False)
     needs_login: bool = False  # whether a name and a password are needed
-    anonymous_may_stop: bool = (
-        False  # whether users without a log-in may stop the robot
-    )
+    # whether users without a log-in may stop the robot
+    anonymous_may_stop: bool = False
     # failed log-ins per name or address in a minute; the daemon counts the same
     max_failed_logins: int = 5
     # security policy, and the server's own certificate, which the page both trusts and presents;
@@ -51,9 +50,8 @@ class Setup:
     signals: list[dict[str, Any]]
     robot: dict[str, Any]  # dimensions [m] and largest speeds
     walls: list[list[float]]  # x1, y1, x2, y2 [m] of each
-    folders: dict[
-        str, str
-    ]  # absolute paths: recordings, scenarios, patches, reports, snapshots
+    # absolute paths: recordings, scenarios, patches, reports, snapshots
+    folders: dict[str, str]
     # of every kind of fault: name, description, required and optional parameters, target
     faults: list[dict[str, Any]] = field(default_factory=list)
     # name, unit, low, high, configured value, nullable, fixed and meaning of every parameter

@@ -39,9 +39,8 @@ class Intake:
         self._source, self._status = source, source.status
         self._staleness, self._faults = source.staleness, source.faults
         self._utc_ns = utc_ns
-        self._counted: int | None = (
-            None  # newest number of the counter, of whichever session
-        )
+        # newest number of the counter, of whichever session
+        self._counted: int | None = None
         self.begin_session()
 
     def begin_session(self) -> None:

@@ -176,7 +176,8 @@ class Peer(Part):
                 backoff.settled()
             self._leave()
             if not self._jobs:
-                return  # stopped: an error at the same moment has hidden the cancellation
+                # stopped: an error at the same moment has hidden the cancellation
+                return
             pause_s = started_s + backoff.next_s() - loop.time()
             await asyncio.sleep(max(shortest_s, pause_s))
 

@@ -6,9 +6,8 @@ from enum import StrEnum
 from typing import Final
 
 SEQUENCE_MODULUS = 2**32
-SEQUENCE_JUMP = (
-    10_000  # a larger step is a restart of the controller, not that many lost numbers
-)
+# a larger step is a restart of the controller, not that many lost numbers
+SEQUENCE_JUMP = 10_000
 
 
 class FaultKind(StrEnum):

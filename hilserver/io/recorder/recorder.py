@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hilserver.errors import FailedError, reason
 from hilserver.io.recorder.series import FileSeries, Settings
-from hilserver.io.recorder.source import Source
+from hilserver.io.recorder.source import FrameSource
 from hilserver.io.recorder.thinning import Thinner
 from hilserver.io.recorder.write_behind import NextFile, WriteBehind
 from hilserver.logs.provenance import make_run
@@ -34,7 +34,7 @@ class Recorder:
         if settings.bag is None:
             check_suffix(settings.path)
         self.stop = threading.Event()
-        self._source = Source(name, is_inside=settings.waits)
+        self._source = FrameSource(name, is_inside=settings.waits)
         self._waits = settings.waits or self._source.mark is not None
         self._run = make_run(self._source.description)
         self._slots = self._choose(settings.signals)
@@ -98,9 +98,8 @@ class Recorder:
             now_s = time.monotonic()
             gone = False
             if now_s >= next_s:
-                gone = (
-                    self._source.daemon_is_gone()
-                )  # read before the last look at the ring
+                # read before the last look at the ring
+                gone = self._source.daemon_is_gone()
                 self._supervise(now_s)
                 next_s = now_s + SUPERVISE_S
             self._read()
@@ -171,9 +170,8 @@ class Recorder:
 
     def _supervise(self, now_s: float) -> None:
         if self._source.refresh():
-            began_with = {
-                "patch": self._run.get("patch")
-            }  # later ones are changes in the file
+            # later ones are changes in the file
+            began_with = {"patch": self._run.get("patch")}
             self._run = make_run(self._source.description) | began_with
             self._writing.put(self._run)
         if self._asked_s is not None and now_s - self._asked_s > STATE_WITHIN_S:

@@ -20,13 +20,11 @@ class Settings:
     """What to record, and where to."""
 
     path: Path
-    signals: Sequence[str] = (
-        "*",
-    )  # patterns; inputs (hidden ones too) are needed for a replay
+    # patterns; inputs (hidden ones too) are needed for a replay
+    signals: Sequence[str] = ("*",)
     rotate_bytes: int | None = None
-    rotate_s: float | None = (
-        None  # also begin a new file after so much time of the plant
-    )
+    # also begin a new file after so much time of the plant
+    rotate_s: float | None = None
     keep: int | None = None  # the newest files of a rotation
     # leave out frames in which no recorded signal changes, see `thinning`
     sparse: bool = False

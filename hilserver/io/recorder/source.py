@@ -21,7 +21,7 @@ from hilserver.image.state_request import (
     take_request,
 )
 from hilserver.io.recorder.marks import Mark
-from hilserver.logs.log import Change, State
+from hilserver.logs.log import Change, RecordedState
 from hilserver.logs.writer import Segmented
 
 BATCH_FRAMES = 256
@@ -29,7 +29,7 @@ _MARGIN_FRAMES = 64
 _DESCRIBED_WITHIN_S = 5.0
 
 
-class Source:
+class FrameSource:
     """The process image of one daemon, for a recorder.
 
     FailedError if no daemon runs under that name.
@@ -88,10 +88,10 @@ class Source:
         self.description = new
         return changed
 
-    def first_state(self) -> State | None:
+    def first_state(self) -> RecordedState | None:
         """Return the state before the first tick; None if ticks have run already."""
         words = live_state(self._reader)
-        return None if words is None else State(0, 0, words)
+        return None if words is None else RecordedState(0, 0, words)
 
     def ask_for_state(self) -> None:
         """Ask the daemon to copy its state; `state` returns it some milliseconds later."""
@@ -116,9 +116,8 @@ class Source:
 
     def begin(self) -> None:
         """Begin with the next frame: those from before the file was ready are not recorded."""
-        read_frames(
-            self._reader, max(0, self._reader.head - 1), 1
-        )  # triggers the compilation
+        # triggers the compilation
+        read_frames(self._reader, max(0, self._reader.head - 1), 1)
         if self.mark is None:
             self._next = max(0, self._reader.head)
 
@@ -174,7 +173,7 @@ class Source:
             zip(names, packed[first : first + len(names)].tolist(), strict=True)
         )
 
-    def state(self) -> State | None:
+    def state(self) -> RecordedState | None:
         """Return the newest state that was saved or restored, None if there is no new one."""
         taken = self._shadow.take()
         if taken is None:
@@ -186,7 +185,7 @@ class Source:
             segment = (
                 start[0] if start is not None and start[1] == tick else segment + 1
             )
-        return State(segment, tick, words)
+        return RecordedState(segment, tick, words)
 
     def daemon_is_gone(self) -> bool:
         """Return whether the daemon has removed its image, or lost the lock by dying."""

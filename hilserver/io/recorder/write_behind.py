@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from hilserver.logs import LogWriter, State
+from hilserver.logs import LogWriter, RecordedState
 from hilserver.logs.writer import Segmented
 
 FLUSH_EVERY_S = 0.2
@@ -17,7 +17,7 @@ class NextFile:
     """Ends a file, whatever its size."""
 
 
-Item = Segmented | State | NextFile | Mapping[str, Any]
+Item = Segmented | RecordedState | NextFile | Mapping[str, Any]
 
 
 class WriteBehind:
@@ -118,7 +118,7 @@ class WriteBehind:
                 synced = time.monotonic()
 
     def _write(self, item: Item) -> None:
-        if isinstance(item, State):
+        if isinstance(item, RecordedState):
             self._writer.add_state(item)
         elif isinstance(item, Segmented):
             if self._is_full(self._writer):

@@ -69,9 +69,8 @@ class Neighbour:
     """Another participant."""
 
     label: str  # for people
-    addresses: tuple[
-        tuple[str, int], ...
-    ]  # where its readers listen, by the usual ports
+    # where its readers listen, by the usual ports
+    addresses: tuple[tuple[str, int], ...]
     lease_s: float  # it counts as alive for so long after its last sign of life
     since_ns: int
     is_reported: bool = False  # a line of the log says that nothing of it fits

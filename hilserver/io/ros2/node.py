@@ -103,9 +103,8 @@ class Ros2Node(Part):
         self._announced: Out | None = None
         self._commander = 0  # writer of the newest command
         self._way_back = WayBack(command_enables=config.command_enables)
-        self._taken_over: dict[
-            str, str
-        ] = {}  # topic that commands no longer: the one that does
+        # topic that commands no longer: the one that does
+        self._taken_over: dict[str, str] = {}
         world.control.on_reset.append(self._taken_over.clear)
 
     @property

@@ -329,9 +329,8 @@ def _subject(topic: str, data_type: Any, qos: Qos, type_hash: str) -> TopicInfo:
 
 def _policies(subject: TopicInfo) -> DdsQos:
     qos = subject.qos
-    reliable = Policy.Reliability.Reliable(
-        duration(seconds=0)
-    )  # our event loop does not wait
+    # our event loop does not wait
+    reliable = Policy.Reliability.Reliable(duration(seconds=0))
     return DdsQos(
         reliable if qos.reliable else Policy.Reliability.BestEffort,
         Policy.Durability.TransientLocal if qos.latched else Policy.Durability.Volatile,

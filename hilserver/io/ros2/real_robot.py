@@ -49,9 +49,8 @@ class _Topic:
     name: str
     measures: MeasuredType
     staleness: Staleness
-    heard_ns: dict[int, int] = field(
-        default_factory=dict
-    )  # by writer: its last message
+    # by writer: its last message
+    heard_ns: dict[int, int] = field(default_factory=dict)
     has_values: bool = False
     off_in_a_row: int = 0  # messages whose stamps are out of range
 

@@ -35,9 +35,8 @@ class Replies:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._asked: Counter[int] = Counter()  # requests by writer
-        self._sent: Counter[bytes] = (
-            Counter()
-        )  # replies by reader, each of which counts from 1
+        # replies by reader, each of which counts from 1
+        self._sent: Counter[bytes] = Counter()
 
     def number(self, request: Arrival) -> int:
         """Return the number that the client has given to a request; each is to be counted once."""

@@ -32,9 +32,8 @@ class Ros2Status(PeerStatus):
 
     command: CommandState = CommandState.NONE
     command_ns: int | None = None  # CLOCK_MONOTONIC [ns] of the newest accepted command
-    lease_s: float | None = (
-        None  # the participant that sent it counts as alive for so long
-    )
+    # the participant that sent it counts as alive for so long
+    lease_s: float | None = None
     participants: int = 0  # others in the domain
     strangers: int = 0  # those of them with which no topic matches
     apart: int = 0  # endpoints of the right name that do not fit

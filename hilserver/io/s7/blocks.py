@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from hilserver.config.s7 import FORMS, Place, S7Server
+from hilserver.config.s7 import FORMS, BlockPlace, S7Server
 from hilserver.errors import ConfigError, no_signal
 from hilserver.image import Frame
 from hilserver.io.s7.wire import Code, Item
@@ -21,7 +21,7 @@ COUNTING: Final = frozenset((ValueType.INT64, ValueType.UINT32))
 """Types of signals that wrap if the controller's type is shorter; others saturate."""
 
 
-def packed(place: Place, value: float, *, wraps: bool = False) -> bytes:
+def packed(place: BlockPlace, value: float, *, wraps: bool = False) -> bytes:
     """Return a value in the type of its place, the nearest one that this type has.
 
     `wraps`: whether a whole number that is too large wraps around.
@@ -48,7 +48,7 @@ def packed(place: Place, value: float, *, wraps: bool = False) -> bytes:
     return packer.pack(max(low, min(high, whole)))
 
 
-def unpacked(place: Place, data: bytes, start: int = 0) -> bool | int | float:
+def unpacked(place: BlockPlace, data: bytes, start: int = 0) -> bool | int | float:
     """Return the value of a place.
 
     `start`: byte of the block at which `data` begins.
@@ -59,7 +59,7 @@ def unpacked(place: Place, data: bytes, start: int = 0) -> bool | int | float:
     return value
 
 
-def put(block: bytearray, place: Place, data: bytes, start: int = 0) -> None:
+def put(block: bytearray, place: BlockPlace, data: bytes, start: int = 0) -> None:
     """Put the result of `packed` into a block; other bits of its byte stay."""
     at = place.byte - start
     if place.type == "BOOL":
@@ -87,7 +87,7 @@ class RefusedItemError(Exception):
 class DataBlock:
     """One block."""
 
-    fields: tuple[tuple[Place, Signal], ...]  # place and signal
+    fields: tuple[tuple[BlockPlace, Signal], ...]  # place and signal
     size: int  # bytes
 
     def filled(self, frame: Frame) -> bytes:
@@ -141,7 +141,7 @@ class DataBlock:
         """Return the signals that an item covers, if only in part."""
         return {signal.name for _, signal in self._hit(item.bits)}
 
-    def _hit(self, bits: range) -> Iterator[tuple[Place, Signal]]:
+    def _hit(self, bits: range) -> Iterator[tuple[BlockPlace, Signal]]:
         for place, signal in self.fields:
             if place.bits.start < bits.stop and place.bits.stop > bits.start:
                 yield place, signal

@@ -14,7 +14,7 @@ from typing import NamedTuple, Self
 from hilserver.config.s7 import Endpoint
 from hilserver.io.peer_link.samples import FaultKind, LinkLostError, LinkRefusedError
 from hilserver.io.s7 import wire
-from hilserver.io.s7.wire import Code, Function, Item, Job, WireError
+from hilserver.io.s7.wire import Code, Function, Item, S7Message, WireError
 from hilserver.time_limit import time_limit
 
 CONNECT_S = 3.0
@@ -116,7 +116,7 @@ class S7Connection:
             for item, code in zip(items, answer.data, strict=True):
                 _check(item.block, code)
 
-    async def _asked(self, parameters: bytes, data: bytes = b"") -> Job:
+    async def _asked(self, parameters: bytes, data: bytes = b"") -> S7Message:
         try:
             async with self._turn, time_limit(JOB_S):
                 return await self._exchange(parameters, data)
@@ -125,7 +125,7 @@ class S7Connection:
         except EOFError:
             raise LinkLostError("the controller closed the connection") from None
 
-    async def _exchange(self, parameters: bytes, data: bytes = b"") -> Job:
+    async def _exchange(self, parameters: bytes, data: bytes = b"") -> S7Message:
         self._number = self._number % 0xFFFF + 1
         self._writer.write(wire.job(self._number, parameters, data))
         answer = wire.taken_apart(await self._received())

@@ -27,9 +27,8 @@ class S7Link(Part):
     """Data blocks for controllers and panels."""
 
     section, label = "s7", "S7"
-    status: (
-        PeerStatus  # `connected` while there is a client; `writes` counts accepted jobs
-    )
+    # `connected` while there is a client; `writes` counts accepted jobs
+    status: PeerStatus
 
     def __init__(self, config: S7Server, world: World) -> None:
         self._config, self._world = config, world

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from hilserver.config.peers import PeerConfig
-from hilserver.config.s7 import Endpoint, Place
+from hilserver.config.s7 import BlockPlace, Endpoint
 from hilserver.config.s7_peer import Block
 from hilserver.faults.links import Lane
 from hilserver.io.peer_link.intake import FaultyIntake
@@ -146,7 +146,7 @@ class S7Peer(Peer):
 
         await every(self.config.write_every_ms / 1000, cycle, skipped)
 
-    def _outgoing(self, block: Block) -> Mapping[Place, bytes] | None:
+    def _outgoing(self, block: Block) -> Mapping[BlockPlace, bytes] | None:
         """Return the values to write now; None before the first frame."""
         found = {}
         try:
@@ -165,7 +165,7 @@ class S7Peer(Peer):
         return found
 
 
-def runs(block: int, pieces: Mapping[Place, bytes]) -> Iterator[S7Write]:
+def runs(block: int, pieces: Mapping[BlockPlace, bytes]) -> Iterator[S7Write]:
     """Yield the runs to write, ascending: adjacent bytes together, every bit separately."""
     data, begin = b"", 0
     for place in sorted(pieces, key=lambda place: place.bits.start):

@@ -9,10 +9,10 @@ from collections.abc import Iterable, Iterator
 
 from hilserver.config.peers import PeerConfig
 from hilserver.config.root import Config
-from hilserver.config.s7 import Place
+from hilserver.config.s7 import BlockPlace
 from hilserver.config.s7_peer import Block
 
-Member = tuple[Place, str, str]  # place, name, remark
+Member = tuple[BlockPlace, str, str]  # place, name, remark
 
 
 def to_scl(config: Config) -> str:
@@ -74,7 +74,7 @@ def _declared(members: Iterable[Member]) -> Iterator[str]:
         at = place.bits.stop
 
 
-def _filling(at: int, place: Place) -> Iterator[tuple[str, int]]:
+def _filling(at: int, place: BlockPlace) -> Iterator[tuple[str, int]]:
     """Yield type and end [bits] of the members needed between `at` and a place."""
     start = place.bits.start
     if place.type == "BOOL" and place.byte <= -(-at // 8):  # or bits would share a byte

@@ -12,7 +12,7 @@ from hilserver.io.peer_link.samples import FaultKind
 from hilserver.io.places import KeptPlace, PlaceKeeper, PlaceUse
 from hilserver.io.s7 import wire
 from hilserver.io.s7.blocks import DataBlock, RefusedItemError
-from hilserver.io.s7.wire import Code, Function, Job, WireError
+from hilserver.io.s7.wire import Code, Function, S7Message, WireError
 from hilserver.tasks import SupervisedTask, Supervisor
 from hilserver.time_limit import time_limit
 
@@ -31,7 +31,7 @@ _TEXTS: Final = {
 """Index of a record: name of the station, of the module, plant, copyright, serial number, type."""
 
 
-def identified(message: Job) -> bytes:
+def identified(message: S7Message) -> bytes:
     """Return the answer to a request of user data: the identification.
 
     Clocks, passwords, lists of blocks and cyclic services are not supported.
@@ -47,7 +47,7 @@ def identified(message: Job) -> bytes:
     return _answer(message, struct.pack(">BBH", 0xFF, 9, len(body)) + body, 0)
 
 
-def _answer(message: Job, data: bytes, error: int) -> bytes:
+def _answer(message: S7Message, data: bytes, error: int) -> bytes:
     group, function, number = message.parameters[5] | 0x80, *message.parameters[6:8]
     parameters = struct.pack(
         ">BBBBBBBBBBH", 0, 1, 0x12, 8, 0x12, group & 0xBF, function, number, 0, 0, error
@@ -89,7 +89,7 @@ class Answers:
         self._blocks, self.pdu_bytes = blocks, pdu_bytes
         self._contents, self._write = contents, write
 
-    def to(self, message: Job) -> bytes:
+    def to(self, message: S7Message) -> bytes:
         """Return the answer to a job; WireError if it is not one."""
         if message.kind == wire.USERDATA:
             return identified(message)
@@ -254,9 +254,8 @@ class Server:
             writer.write(answers.to(message))
             async with time_limit(MESSAGE_S):
                 await writer.drain()
-            await asyncio.sleep(
-                0
-            )  # a client that never waits must not block the others
+            # a client that never waits must not block the others
+            await asyncio.sleep(0)
 
 
 def _stay_alive(connection: socket.socket) -> None:

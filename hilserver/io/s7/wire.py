@@ -82,7 +82,7 @@ class Item(NamedTuple):
         )
 
 
-class Job(NamedTuple):
+class S7Message(NamedTuple):
     """A message of either side, parsed as far as they have in common."""
 
     kind: int
@@ -187,7 +187,7 @@ def user_data(number: int, parameters: bytes, data: bytes) -> bytes:
     return frame(head + parameters + data)
 
 
-def taken_apart(message: tuple[int, bytes]) -> Job:
+def taken_apart(message: tuple[int, bytes]) -> S7Message:
     """Return a message of either side, parsed; WireError if it is malformed."""
     kind, payload = message
     if kind != _DATA or len(payload) < 10 or payload[0] != _S7:
@@ -198,10 +198,10 @@ def taken_apart(message: tuple[int, bytes]) -> Job:
         raise WireError("is not as long as its header says")
     error = struct.unpack_from(">H", payload, 10)[0] if start == ANSWER_HEAD else 0
     middle = start + n_parameters
-    return Job(what, number, payload[start:middle], payload[middle:], error)
+    return S7Message(what, number, payload[start:middle], payload[middle:], error)
 
 
-def is_job(message: Job) -> bool:
+def is_job(message: S7Message) -> bool:
     """Whether a message is a job."""
     return message.kind == _JOB and bool(message.parameters)
 

@@ -15,7 +15,8 @@ class SharedMemoryLink(Part):
     """The inputs of one program of this computer."""
 
     section, label = "shared_memory", "memory"
-    status: PeerStatus  # `connected` while a program writes; `writes` counts accepted groups
+    # `connected` while a program writes; `writes` counts accepted groups
+    status: PeerStatus
 
     def __init__(self, config: SharedMemoryConfig, world: World) -> None:
         self._config, self._world = config, world

@@ -7,24 +7,34 @@ from enum import StrEnum
 from typing import Final
 
 from hilserver.config.shield import ShieldConfig
-from hilserver.io.shield.protocol import Command, Request
+from hilserver.io.shield.protocol import Request, ShieldCommand
 from hilserver.io.shield.status import ShieldStatus
 from hilserver.io.source import Source
 from hilserver.plant.layout import MODE_DUTY, MODE_WHEELS
 from hilserver.signals import LIGHTS
 
 NUMBERS: Final = {
-    Command.IMU_WEIGHT,
-    *(c for c in Command if Command.KP <= c <= Command.TICKS_PER_REVOLUTION),
+    ShieldCommand.IMU_WEIGHT,
+    *(
+        c
+        for c in ShieldCommand
+        if ShieldCommand.KP <= c <= ShieldCommand.TICKS_PER_REVOLUTION
+    ),
 }
 """Commands whose payload is a float to store."""
 FLAGS: Final = {
-    Command.AUX1,
-    Command.AUX2,
-    *(c for c in Command if Command.PWM_MAX <= c <= Command.STALL_CHECK),
+    ShieldCommand.AUX1,
+    ShieldCommand.AUX2,
+    *(
+        c
+        for c in ShieldCommand
+        if ShieldCommand.PWM_MAX <= c <= ShieldCommand.STALL_CHECK
+    ),
 }
 """Commands whose payload begins with a byte to store."""
-MOTION: Final = frozenset({Command.ENABLE, Command.SET_RPM, Command.SET_PWM})
+MOTION: Final = frozenset(
+    {ShieldCommand.ENABLE, ShieldCommand.SET_RPM, ShieldCommand.SET_PWM}
+)
 MOST_FREQUENCY_HZ: Final = 1_000_000
 """A greater integer is read as a float: one of the drivers sends the bridge frequency so."""
 
@@ -74,19 +84,21 @@ class Device:
             if request.command in MOTION:
                 return
         command = request.command
-        if command == Command.SET_RPM:
+        if command == ShieldCommand.SET_RPM:
             self._set_rpm(request)
-        elif command == Command.SET_PWM:
+        elif command == ShieldCommand.SET_PWM:
             self._set_pwm(request)
-        elif command == Command.ENABLE:
+        elif command == ShieldCommand.ENABLE:
             self.enable(request)
-        elif command == Command.DISABLE:
+        elif command == ShieldCommand.DISABLE:
             self.disable(request)
-        elif Command.LIGHTS_OFF <= command < Command.LIGHTS_OFF + len(LIGHTS):
+        elif (
+            ShieldCommand.LIGHTS_OFF <= command < ShieldCommand.LIGHTS_OFF + len(LIGHTS)
+        ):
             self._set_lights(request)
-        elif command == Command.UART_TIMEOUT:
+        elif command == ShieldCommand.UART_TIMEOUT:
             self._set_timeout(request)
-        elif command != Command.IMU_RAW:
+        elif command != ShieldCommand.IMU_RAW:
             self._store(request)
 
     # --- motion -----------------------------------------------------------------------------------
@@ -141,7 +153,7 @@ class Device:
 
     def _set_lights(self, request: Request) -> None:
         red, green, blue = request.payload[:3]
-        pattern = request.command - Command.LIGHTS_OFF
+        pattern = request.command - ShieldCommand.LIGHTS_OFF
         colours = {"lights.red": red, "lights.green": green, "lights.blue": blue}
         self._put(request, {"lights.command": pattern, **colours})
 
@@ -171,9 +183,9 @@ class Device:
                 self._use(request)
         elif request.command in FLAGS:
             parameters[name] = float(request.payload[0])
-        elif request.command == Command.FREQUENCY:
+        elif request.command == ShieldCommand.FREQUENCY:
             parameters[name] = self._frequency_hz(request)
-        elif request.command == Command.TIMEOUT:
+        elif request.command == ShieldCommand.TIMEOUT:
             parameters[name] = float(request.integer)
         elif name == "unknown":
             text = f"command 0x{request.command:02X} is unknown: echoed, without effect"
@@ -201,8 +213,8 @@ class Device:
 
     def _use(self, request: Request) -> None:
         if self._config.parameters == "store" or request.command not in (
-            Command.KP,
-            Command.KI,
+            ShieldCommand.KP,
+            ShieldCommand.KI,
         ):
             return
         gains = [self._status.parameters.get(name, math.nan) for name in ("kp", "ki")]

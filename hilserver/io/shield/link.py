@@ -33,9 +33,8 @@ from hilserver.scheduler.realtime import (
     request_for_this_thread,
 )
 
-PAUSE_NS = (
-    2_000_000  # silence that ends a burst: 23 bytes; hosts keep 8 ms between requests
-)
+# silence that ends a burst: 23 bytes; hosts keep 8 ms between requests
+PAUSE_NS = 2_000_000
 REOPEN_S = 0.5
 END_WITHIN_S = 5.0
 
@@ -207,9 +206,8 @@ class ShieldLink(Part):
         self._line = None
         line.close()
         self._tell(f"the line {line.path} is lost")
-        self.status.words[[w.FILL, w.RX_LAST, w.EMPTY, w.MORE]] = (
-            0  # of that line alone
-        )
+        # of that line alone
+        self.status.words[[w.FILL, w.RX_LAST, w.EMPTY, w.MORE]] = 0
         while not self._stopping.wait(REOPEN_S):
             with contextlib.suppress(FailedError):
                 self._line = self._opened()
@@ -248,7 +246,8 @@ class ShieldLink(Part):
             self._world.gate.renew(NAME, received_ns)
 
     def _look(self) -> None:
-        self._take_requests()  # requests that waited while the event loop stood are not silence
+        # requests that waited while the event loop stood are not silence
+        self._take_requests()
         status, now_ns = self.status, time.monotonic_ns()
         status.connected = bool(status.words[w.CONNECTED]) and self._line is not None
         status.state = LinkState.CONNECTED if status.connected else LinkState.CONNECTING

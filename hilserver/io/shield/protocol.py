@@ -32,7 +32,7 @@ BAUD: Final = 115200
 BYTE_NS: Final = 10 * 1_000_000_000 // BAUD + 1  # start, eight bits, stop; rounded up
 
 
-class Command(IntEnum):
+class ShieldCommand(IntEnum):
     """What a request asks for."""
 
     ENABLE = 0x01
@@ -74,8 +74,8 @@ class Command(IntEnum):
     LIGHTS_RUNNING = 0x4A
 
 
-KNOWN: Final = frozenset(Command)
-NAMES: Final = (*(command.name.lower() for command in Command), "unknown")
+KNOWN: Final = frozenset(ShieldCommand)
+NAMES: Final = (*(command.name.lower() for command in ShieldCommand), "unknown")
 """Names of requests, as metrics count them."""
 
 
@@ -86,15 +86,16 @@ class Request:
     command: int  # a `Command`, or an unknown number
     payload: bytes  # eight bytes
     received_ns: int = 0  # CLOCK_MONOTONIC at which its last byte had come in
-    is_terminated: bool = (
-        True  # False: alone on the line, but its last byte is not `END`
-    )
+    # False: alone on the line, but its last byte is not `END`
+    is_terminated: bool = True
 
     @property
     def name(self) -> str:
         """Name in metrics and messages: ``set_rpm``, ``unknown``."""
         return (
-            Command(self.command).name.lower() if self.command in KNOWN else "unknown"
+            ShieldCommand(self.command).name.lower()
+            if self.command in KNOWN
+            else "unknown"
         )
 
     @property

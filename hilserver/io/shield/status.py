@@ -21,12 +21,10 @@ class ShieldStatus(PeerStatus):
     words: NDArray[np.int64] = field(
         default_factory=lambda: np.zeros(w.N_WORDS, dtype=np.int64)
     )
-    enabled: bool = (
-        False  # the host has enabled the motors and has not been silent since
-    )
-    without_effect: int = (
-        0  # requests that are echoed and change nothing in the simulation
-    )
+    # the host has enabled the motors and has not been silent since
+    enabled: bool = False
+    # requests that are echoed and change nothing in the simulation
+    without_effect: int = 0
     # name of a command -> number of requests
     requests: Counter[str] = field(
         default_factory=lambda: Counter(dict.fromkeys(NAMES, 0))

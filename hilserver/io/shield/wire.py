@@ -23,18 +23,17 @@ from hilserver.image.ring import copy_latest
 from hilserver.io.shield import words as w
 from hilserver.io.shield.answer import answer
 from hilserver.io.shield.framing import COMPLETE, feed, stands_alone
-from hilserver.io.shield.protocol import REQUEST_BYTES, Command
+from hilserver.io.shield.protocol import REQUEST_BYTES, ShieldCommand
 
 libc_read: Any = ExternalFunction("read", int64(int32, voidptr, uint64))
 libc_ppoll: Any = ExternalFunction("ppoll", int32(voidptr, uint64, voidptr, voidptr))
 
 LONGEST_WAIT_NS: Final = 50_000_000  # the thread checks its words at least this often
-STOOD_NS: Final = (
-    3 * LONGEST_WAIT_NS // 2
-)  # a thread that is not held up is never later
+# a thread that is not held up is never later
+STOOD_NS: Final = 3 * LONGEST_WAIT_NS // 2
 ABSENT_WAIT_NS: Final = 5_000_000  # how often it checks for a host that opens the line
 POLL_IN, POLL_BROKEN = 0x1, 0x8 | 0x10 | 0x20
-IMU_RAW: Final = int(Command.IMU_RAW)
+IMU_RAW: Final = int(ShieldCommand.IMU_RAW)
 
 _WORDS, _BYTES, _VALUES = types.int64[::1], types.uint8[::1], types.float64[::1]
 

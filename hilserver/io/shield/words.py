@@ -51,8 +51,7 @@ ALONE: Final = 1  # flag of a request that stood alone and has a wrong end
     LATE_COUNTS,
 ) = range(35)
 PENDING_ROWS: Final = LATE_COUNTS + N_BUCKETS  # PENDING x (command, due)
-RING_ROWS: Final = (
-    PENDING_ROWS + 2 * PENDING
-)  # WAITING_MOST x (command, flags, payload, time)
+# WAITING_MOST x (command, flags, payload, time)
+RING_ROWS: Final = PENDING_ROWS + 2 * PENDING
 STAMP_ROWS: Final = RING_ROWS + 4 * WAITING_MOST  # STAMPS x (due, written)
 N_WORDS: Final = STAMP_ROWS + 2 * STAMPS

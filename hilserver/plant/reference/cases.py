@@ -34,9 +34,8 @@ def cases() -> dict[str, dict[str, float]]:
                     f"term {term.name} has no size for its conformance vector"
                 )
             result[term.name] = {term.name: size}
-    result["nav_outliers.share"] = {
-        "nav_outliers.share": 0.3
-    }  # a few of the 12 samples
+    # a few of the 12 samples
+    result["nav_outliers.share"] = {"nav_outliers.share": 0.3}
     result["battery_sag_viscous"] = {"battery_sag": 1.0, "viscous_load": 0.05}
     result["everything"] = {
         name: size

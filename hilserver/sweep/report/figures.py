@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from hilserver.arrays import Array
 from hilserver.diagnosis.report.svg import Figure, Plot, picture, span_of
 from hilserver.sweep.estimates import Influence
-from hilserver.sweep.table import Table
+from hilserver.sweep.table import MachineTable
 
 MOST_BARS: Final = 40
 MOST_DOTS: Final = 1500
@@ -57,7 +57,7 @@ def distribution(name: str, margins: Array, unit: str) -> Figure | None:
 
 
 def failing_region(
-    table: Table, name: str, found: Sequence[Influence], units: dict[str, str]
+    table: MachineTable, name: str, found: Sequence[Influence], units: dict[str, str]
 ) -> Figure | None:
     """Draw where machines fail, in the plane of the two most decisive parameters."""
     margins = table.margins[name]

@@ -17,7 +17,7 @@ from hilserver.diagnosis.report.svg import Figure
 from hilserver.program.whole_file import write_whole
 from hilserver.sweep.estimates import Influence, exact_interval, influences
 from hilserver.sweep.report.figures import distribution, failing_region
-from hilserver.sweep.table import ERROR, PASSED, REFUSED, Table
+from hilserver.sweep.table import ERROR, PASSED, REFUSED, MachineTable
 from hilserver.sweep.words import details, headline, scope
 
 REPORT: Final = "report.html"
@@ -27,7 +27,7 @@ MOST_MESSAGES: Final = 8
 
 
 @dataclass(frozen=True)
-class Judged:
+class JudgedRequirement:
     """One requirement over all machines."""
 
     name: str
@@ -42,7 +42,7 @@ class Judged:
     influences: list[Influence]
 
 
-def render(table: Table) -> str:
+def render(table: MachineTable) -> str:
     """Return the report as one HTML file without any reference to the network."""
     n = len(table) - table.count(REFUSED)
     judged = [_judged(table, name, n) for name in table.margins]
@@ -74,14 +74,14 @@ def render(table: Table) -> str:
     )
 
 
-def write_report(folder: Path, table: Table) -> Path:
+def write_report(folder: Path, table: MachineTable) -> Path:
     """Write the report; return the file."""
     path = folder / REPORT
     write_whole(path, render(table).encode())
     return path
 
 
-def _judged(table: Table, name: str, n: int) -> Judged:
+def _judged(table: MachineTable, name: str, n: int) -> JudgedRequirement:
     margins = table.margins[name]
     driven = margins[~np.isnan(margins)]
     met = int((driven >= 0.0).sum())
@@ -90,7 +90,7 @@ def _judged(table: Table, name: str, n: int) -> Judged:
         {f: v for f, v in table.faults.items() if np.ptp(v) > 0.0} if len(table) else {}
     )
     finite = np.where(np.isneginf(margins), np.nan, margins)
-    return Judged(
+    return JudgedRequirement(
         name,
         table.about["requirement_units"].get(name, ""),
         met,
@@ -103,11 +103,10 @@ def _judged(table: Table, name: str, n: int) -> Judged:
     )
 
 
-def _worst(table: Table) -> list[dict[str, Any]]:
+def _worst(table: MachineTable) -> list[dict[str, Any]]:
     """Return machines to drive again."""
-    size = (
-        table.worst_margin
-    )  # NaN if the controller failed: these have their own table
+    # NaN if the controller failed: these have their own table
+    size = table.worst_margin
     order = np.argsort(size, kind="stable")
     rows = [row for row in order.tolist() if not np.isnan(size[row])]
     return [
@@ -125,7 +124,7 @@ def _worst(table: Table) -> list[dict[str, Any]]:
     ]
 
 
-def _counted(table: Table, status: str) -> list[tuple[str, int, int]]:
+def _counted(table: MachineTable, status: str) -> list[tuple[str, int, int]]:
     """Return the messages of a status, their counts, and one machine with each."""
     found: dict[str, list[int]] = {}
     for row, message in enumerate(table.message):

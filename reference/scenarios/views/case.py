@@ -6,7 +6,7 @@ from typing import Final, Protocol
 
 from hilserver.arrays import Array
 from hilserver.diagnosis.report.svg import Plot, span_of
-from hilserver.diagnosis.schema.evidence import Diagnosis, Series
+from hilserver.diagnosis.schema.evidence import ChannelSeries, Diagnosis
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
 
@@ -41,7 +41,7 @@ class Case:
         """The first log."""
         return self.logs[0]
 
-    def series(self, name: str) -> Series:
+    def series(self, name: str) -> ChannelSeries:
         """Return a channel as the diagnosis saw it."""
         return next(s for s in self.diagnosis.evidence.series if s.name == name)
 

@@ -124,9 +124,8 @@ class Hidden:
 class Shown:
     """What a drive shows: known from a log of it with nothing hidden."""
 
-    sizes: Mapping[
-        str, float
-    ]  # that a diagnosis states: the smallest detectable one of each cause
+    # that a diagnosis states: the smallest detectable one of each cause
+    sizes: Mapping[str, float]
     middle_m: tuple[float, float]  # medians of x and y; NaN on the bench
 
 

@@ -65,9 +65,8 @@ class Told:
     # one of NAMED; or missed, unknown (a structure instead of a name), vague; where no cause of the
     # library is hidden: silent, flagged, or false_alarm
     how: str
-    wrong: tuple[
-        str, ...
-    ]  # names of what is not there, and of signs that are not the true ones
+    # names of what is not there, and of signs that are not the true ones
+    wrong: tuple[str, ...]
     values: int  # parameters that have a value
     near: int  # of them: within 20 % of the truth, or the truth within their interval
     said: tuple[str, ...]

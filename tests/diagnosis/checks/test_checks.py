@@ -394,9 +394,8 @@ def test_repeated_samples_are_dropouts_and_left_out(table):
     assert (cause, channels) == ("dropouts", set(SPEEDS))
     assert value.value == pytest.approx(lost.mean(), rel=0.05)
     kept = np.isin(t, log[SPEEDS[0]].t_s)
-    assert (
-        np.mean(kept == ~lost) > 0.999
-    )  # of two bursts in one the second may be short
+    # of two bursts in one the second may be short
+    assert np.mean(kept == ~lost) > 0.999
 
 
 @pytest.mark.parametrize(("share", "found"), [(0.1, True), (0.002, False)])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hilserver.diagnosis.decide.drift import course, drifting, parts, with_drift
-from hilserver.diagnosis.decide.revision import Judged
+from hilserver.diagnosis.decide.revision import JudgedStage
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.replay.model import Model
 from tests.diagnosis import toy
@@ -74,9 +74,8 @@ def test_a_cause_that_stands_in_for_one_that_drifts_gives_way_to_it():
     for seed in range(5):
         rng = np.random.default_rng(seed)
         columns = columns_of(rng, "true", "other")
-        columns["late"] = (
-            np.where(TIME > 0.2, 1.0, 0.0) * columns["true"]
-        )  # part of the way only
+        # part of the way only
+        columns["late"] = np.where(TIME > 0.2, 1.0, 0.0) * columns["true"]
         values = (0.5 + 0.5 * TIME) * columns["true"] + rng.normal(size=N)
         found = judged(toy.problem(values, columns), "late")
         assert found.point.model.causes == ("true",)
@@ -116,5 +115,7 @@ def test_parts_hold_every_block_once():
 
 def test_what_changes_along_the_log_has_no_one_value():
     point = SimpleNamespace(model=toy.model("a", "b"))
-    found = Judged(None, None, point, point, {}, [], {"a": 1e-4}, None, scrubs=False)
+    found = JudgedStage(
+        None, None, point, point, {}, [], {"a": 1e-4}, None, scrubs=False
+    )
     assert found.lasting.causes == ("b",)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hilserver.diagnosis.decide.identifiability import with_best_rivals
-from hilserver.diagnosis.decide.promise import Step, _grows
+from hilserver.diagnosis.decide.promise import ModelExchange, _grows
 from hilserver.diagnosis.decide.revision import _harmless
 from hilserver.diagnosis.findings.outcome import worsened
 from hilserver.diagnosis.regression.fitting import fit
@@ -66,7 +66,7 @@ def test_no_cause_goes_for_unknown_structure_where_held_out_errors_would_grow():
     _, base = toy.library(problem)
     point = fit(problem, toy.model("needed", "idle"), base)
     assert _harmless(problem, point, [0, 1]) == {1}
-    step = Step(problem, point, fit(problem, point.model.without(0), point))
+    step = ModelExchange(problem, point, fit(problem, point.model.without(0), point))
     assert step.harms
     assert step.gain is not None
     assert step.gain < 0.95
@@ -103,6 +103,6 @@ def test_a_rival_with_larger_errors_on_held_out_blocks_takes_no_place(
     )
     library, base = toy.library(problem)
     point = fit(problem, toy.model("poor"), base)
-    monkeypatch.setattr(Step, "harms", property(lambda step: harms))
+    monkeypatch.setattr(ModelExchange, "harms", property(lambda step: harms))
     found, _ = with_best_rivals(library, point)
     assert found.model.causes == (("poor",) if harms else ("good",))

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from hilserver.diagnosis.catalogue.candidate import wave
-from hilserver.diagnosis.findings.estimate import Estimate, estimate_of, joint
+from hilserver.diagnosis.findings.estimate import StageEstimate, estimate_of, joint
 from hilserver.diagnosis.findings.outcome import parameters
 from hilserver.diagnosis.findings.sensors import noise_of
-from hilserver.diagnosis.findings.worth import Answer, Explained, Part
+from hilserver.diagnosis.findings.worth import Explained, MemberStage, StageAnswer
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.gain import crossed, held_out
 from hilserver.diagnosis.replay.model import Model
@@ -65,7 +65,7 @@ def test_what_the_data_leave_open_is_as_wide_as_the_prior(alike):
         replace(f, candidate=replace(f.candidate, prior=0.05))
         for f in point.model.fitted
     ]
-    wide = Estimate.of(Model(tuple(known)), np.diag([1e9, 1e-8, 0.0025]))
+    wide = StageEstimate.of(Model(tuple(known)), np.diag([1e9, 1e-8, 0.0025]))
     assert np.sqrt(np.diag(wide.covariance)) == pytest.approx(
         [0.05, 1e-4, 0.05 / np.sqrt(2.0)], rel=1e-3
     )
@@ -76,7 +76,7 @@ def test_a_wave_is_reported_as_amplitude_and_phase():
     names = ("heading_distortion.a1", "heading_distortion.phase1")
     candidate = wave("heading_distortion", "h", *names, 0.005)
     theta, known = np.array([0.06, 0.08]), np.array([[4e-6, 1e-6], [1e-6, 2e-6]])
-    found = Estimate.of(Model().plus(candidate, tuple(theta)), known)
+    found = StageEstimate.of(Model().plus(candidate, tuple(theta)), known)
     assert found.names == names
     drawn = rng.multivariate_normal(theta, known, size=40_000)
     polar = np.stack([np.hypot(*drawn.T), np.arctan2(drawn[:, 1], drawn[:, 0])])
@@ -95,9 +95,11 @@ def test_partners_take_over_what_one_cause_explains_alone(alike):
         return (held_out(problem, crossed(problem, start, start.model)),)
 
     judged = SimpleNamespace(prepared=SimpleNamespace(problem=problem))
-    whole = Explained((Part("", judged, np.zeros(N), np.zeros(N), after),), without)
+    whole = Explained(
+        (MemberStage("", judged, np.zeros(N), np.zeros(N), after),), without
+    )
     findings = (sample.findings().findings[0],) * 3
-    answer = Answer(whole, whole, point.model, findings, estimate)
+    answer = StageAnswer(whole, whole, point.model, findings, estimate)
     found = answer.with_worth(5.0, np.random.default_rng(0))
     one, _, alone = (item.matters[toy.SIGNAL] for item in found)
     assert one.alone == pytest.approx(1.0, abs=0.05)

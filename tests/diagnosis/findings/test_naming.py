@@ -281,7 +281,6 @@ def test_a_gross_misfit_is_never_left_without_a_word():
     loud.stage.follows_setpoints = False
     found = remaining(loud, loud.point(Model(), none), rng, [family], 0.0)
     assert [u.family.name for u in found] == ["turn"]
-    loud.stage.follows_setpoints = (
-        True  # of which one may have come and gone between two rows
-    )
+    # of which one may have come and gone between two rows
+    loud.stage.follows_setpoints = True
     assert remaining(loud, loud.point(Model(), none), rng, [family], 0.0) == []

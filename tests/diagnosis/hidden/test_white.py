@@ -98,9 +98,8 @@ def test_from_every_cut_point_all_residuals_are_the_sensors_noise(log, stages):
     rows = cuts(stages.values())
     assert len(rows) == (12 + 4 + 4 if log[0] == "drive" else 8 + 4)
     for row in rows:
-        slow = row.channel.startswith(
-            "nav."
-        )  # few independent samples, and noise that is fitted
+        # few independent samples, and noise that is fitted
+        slow = row.channel.startswith("nav.")
         assert row.rms / row.expected == pytest.approx(
             1.0, abs=0.2 if slow else 0.06
         ), row

@@ -75,6 +75,5 @@ def test_after_its_last_step_a_fit_asks_for_no_sensitivities(replayed, monkeypat
     terms.clear()
     found = fit(made, model, start, iterations=1)
     assert found.model.theta() == pytest.approx([1.0], abs=0.05)
-    assert (
-        len(terms) == 2
-    )  # the whole step, which leads too far, and half of it: not as expected
+    # the whole step, which leads too far, and half of it: not as expected
+    assert len(terms) == 2

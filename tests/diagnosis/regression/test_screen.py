@@ -31,9 +31,8 @@ def null_draws(n, *, tau_s=0.6, seed=1, scale=lambda rng, m: 1.0):
     block = np.repeat(np.arange(N_BLOCKS), PER_BLOCK)
     for _ in range(n):
         base = [smooth(rng, m) for _ in range(COLUMNS // 2)]
-        mixed = [
-            c + 0.2 * smooth(rng, m) for c in base
-        ]  # confusable with the first half
+        # confusable with the first half
+        mixed = [c + 0.2 * smooth(rng, m) for c in base]
         parts = [ornstein_uhlenbeck(rng, PER_BLOCK, tau_s) for _ in range(N_BLOCKS)]
         left = np.concatenate(parts) * scale(rng, m)
         yield np.stack([*base, *mixed], axis=1), left, block

@@ -5,7 +5,7 @@ import numpy as np
 from hilserver.diagnosis.replay.battery import voltage
 from hilserver.measured.channels import VOLTAGE
 from hilserver.measured.clock import cut
-from hilserver.measured.data import Channel, MeasuredLog, Source, Span
+from hilserver.measured.data import Channel, LogSource, MeasuredLog, Span
 
 PERIOD_S = 0.001
 
@@ -16,7 +16,7 @@ def test_the_simulations_battery_holds_its_voltage_from_the_tick_behind_its_samp
     channel = Channel(at * PERIOD_S, values, np.zeros(len(at), dtype=np.int64))
     spans = (Span(0, None, 0.0, 2.0),)
     log = MeasuredLog(
-        (Source("run.mcap", "0" * 64),), {VOLTAGE: channel}, spans, on_ticks=True
+        (LogSource("run.mcap", "0" * 64),), {VOLTAGE: channel}, spans, on_ticks=True
     )
     segments = cut(log, PERIOD_S, None)
     volts = voltage(log, segments, np.zeros(segments.ticks))

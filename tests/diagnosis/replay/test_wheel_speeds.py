@@ -7,7 +7,7 @@ from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.encoders import as_turned, driven
 from hilserver.diagnosis.replay.wheel_speeds import WheelSpeeds
 from hilserver.measured.channels import SETPOINTS, SPEEDS
-from hilserver.measured.data import Channel, MeasuredLog, Source, Span
+from hilserver.measured.data import Channel, LogSource, MeasuredLog, Span
 from hilserver.plant.parameters import RobotParameters
 
 ROBOT = RobotParameters()
@@ -27,7 +27,7 @@ def test_between_samples_wheels_turn_as_they_do_whatever_their_encoders_show(ter
     }
     channels = sent | dict.fromkeys(SPEEDS, channel)
     spans = (Span(0, None, 0.0, float(t_s[-1])),)
-    log = MeasuredLog((Source("log.csv", "0" * 64),), channels, spans)
+    log = MeasuredLog((LogSource("log.csv", "0" * 64),), channels, spans)
     drive = DriveStage(log, ROBOT, block_s=1.0)
     shown, edges = drive.predict(terms), drive.stack.edges
     log = log.with_channels({n: channel.with_values(shown[edges[n]]) for n in SPEEDS})

@@ -8,7 +8,7 @@ import pytest
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.report.dependence import binned
 from hilserver.measured.channels import DUTIES, SETPOINTS, SPEEDS
-from hilserver.measured.data import Channel, MeasuredLog, Source, Span
+from hilserver.measured.data import Channel, LogSource, MeasuredLog, Span
 from hilserver.plant.parameters import RobotParameters
 
 DURATION_S = 6.0
@@ -21,7 +21,7 @@ def log(setpoint_rpm):
     steps = setpoint_rpm * np.sign(np.sin(2.0 * np.pi * t / 3.0))
     names = dict.fromkeys(SETPOINTS, steps) | dict.fromkeys((*SPEEDS, *DUTIES), 0.0 * t)
     return MeasuredLog(
-        (Source("toy.csv", ""),),
+        (LogSource("toy.csv", ""),),
         {n: Channel(t, v, span) for n, v in names.items()},
         (Span(0, None, 0.0, float(t[-1])),),
     )

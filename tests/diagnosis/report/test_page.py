@@ -11,7 +11,7 @@ from hilserver.diagnosis.findings.explain import MINUS
 from hilserver.diagnosis.report import render
 from hilserver.diagnosis.report.plain import plain
 from hilserver.diagnosis.report.summary import summary
-from hilserver.diagnosis.report.words import Change
+from hilserver.diagnosis.report.words import RatioInWords
 from hilserver.diagnosis.schema.evidence import Evidence
 from hilserver.diagnosis.schema.findings import ON_OTHER_LOGS, Finding
 from hilserver.signals import Ranges, robot_table
@@ -200,16 +200,18 @@ def test_an_error_that_grows_is_called_larger():
     page = render(worse, Evidence())
     assert "2&times; <small>worse, 1.2 to 2.5</small>" in page
     assert (
-        str(Change.of(gain(1.0, 2.0, 0.4, 0.8)))
+        str(RatioInWords.of(gain(1.0, 2.0, 0.4, 0.8)))
         == "2 times larger, 95\u00a0% 1.2 to 2.5"
     )
     assert (
-        str(Change.of(gain(3.0, 1.0, 2.0, 4.0))) == "3 times smaller, 95\u00a0% 2 to 4"
+        str(RatioInWords.of(gain(3.0, 1.0, 2.0, 4.0)))
+        == "3 times smaller, 95\u00a0% 2 to 4"
     )
     assert (
-        str(Change.of(gain(1.0, 1e-14, 9e13, 1.1e14))) == "more than 1000 times smaller"
+        str(RatioInWords.of(gain(1.0, 1e-14, 9e13, 1.1e14)))
+        == "more than 1000 times smaller"
     )
-    assert str(Change.of(gain(1.0, 1.004, 0.9, 1.1))).startswith(
+    assert str(RatioInWords.of(gain(1.0, 1.004, 0.9, 1.1))).startswith(
         "unchanged, 95\u00a0% 0.91 to"
     )
 

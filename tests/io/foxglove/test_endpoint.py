@@ -17,7 +17,7 @@ from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.daemon import Daemon
 from hilserver.errors import FailedError
 from hilserver.io.arrival import WATCH_NS
-from hilserver.io.foxglove.door import LARGEST_MESSAGE, Door
+from hilserver.io.foxglove.door import LARGEST_MESSAGE, ViewerDoor
 from hilserver.io.foxglove.endpoint import HANDED_OVER_NS
 from hilserver.ros.types import known_types
 from tests.io.ros2.rig import value
@@ -293,7 +293,7 @@ async def test_a_message_that_is_too_long_ends_its_connection_and_nothing_else()
 )
 async def test_only_named_web_pages_enter(origin, enters):
     named = ["https://app.foxglove.dev", "file://", "https://own.example/"]
-    door, asked = Door(named), []
+    door, asked = ViewerDoor(named), []
 
     async def behind(reader, writer):
         asked.append(await reader.readuntil(b"\r\n\r\n"))
@@ -315,7 +315,7 @@ async def test_only_named_web_pages_enter(origin, enters):
 
 async def test_viewers_that_ask_for_nothing_keep_nobody_out(monkeypatch):
     monkeypatch.setattr("hilserver.io.foxglove.door.CONNECTIONS", 3)
-    door, hello = Door([]), f"GET / HTTP/1.1\r\n{SPEAKS}\r\n".encode()
+    door, hello = ViewerDoor([]), f"GET / HTTP/1.1\r\n{SPEAKS}\r\n".encode()
 
     async def behind(reader, writer):
         await reader.readuntil(b"\r\n\r\n")
@@ -349,7 +349,7 @@ async def test_viewers_that_ask_for_nothing_keep_nobody_out(monkeypatch):
 async def test_a_viewer_that_takes_nothing_gives_its_place_back(monkeypatch):
     """Its address is named, though it has none for uvloop once it has left."""
     monkeypatch.setattr("hilserver.io.foxglove.door.UNREAD_S", 0.2)
-    door, has_ended = Door([]), asyncio.Event()
+    door, has_ended = ViewerDoor([]), asyncio.Event()
 
     async def behind(reader, writer):
         await reader.readuntil(b"\r\n\r\n")

@@ -194,6 +194,5 @@ async def test_a_peer_gets_what_it_takes(peer, taken, takes):
         begun = time.monotonic()
         await wait_until(lambda: time.monotonic() - begun > 0.1)
         values = [value for *_, value in arrived]
-        assert (9.0 in values) == (
-            takes == "values with status"
-        )  # bad never looks like good
+        # bad never looks like good
+        assert (9.0 in values) == (takes == "values with status")

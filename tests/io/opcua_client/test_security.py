@@ -448,9 +448,8 @@ async def test_files_that_are_missing_or_open_are_one_sentence(
     ):
         station.link(url)
     monkeypatch.setenv("CREDENTIALS_DIRECTORY", str(station.folder))
-    station.link(
-        url
-    )  # systemd guards the folder; the bits of a file there show an access list
+    # systemd guards the folder; the bits of a file there show an access list
+    station.link(url)
     monkeypatch.delenv("CREDENTIALS_DIRECTORY")
     for text, message in ((b"", "must be a password"), (b"\xff\n", "contains no text")):
         write_private(secret, text)

@@ -62,9 +62,8 @@ async def test_the_driver_may_and_it_is_told_who_did(
     assert (await driver.call("SetSpeed", ua.Variant(2.0, D))).StatusCode.name == "Good"
     assert rig.events.recent[-1].message == "SetSpeed(2.0) by anonymous engineer"
     assert (await driver.call("SetSpeed", ua.Variant(1.0, D))).StatusCode.name == "Good"
-    assert await other.write(("control.source", "page", S)) == [
-        "Good"
-    ]  # the page asks before
+    # the page asks before
+    assert await other.write(("control.source", "page", S)) == ["Good"]
     assert (await driver.call("Pause")).StatusCode.name == DENIED
     assert await other.write(("control.source", "nobody", S)) == ["Good"]
     assert (await driver.call("Pause")).StatusCode.name == "Good"

@@ -8,7 +8,7 @@ import pytest
 import uvloop
 
 from hilserver.io.page import door as door_module
-from hilserver.io.page.door import YIELDS_AFTER_S, Door, Use
+from hilserver.io.page.door import YIELDS_AFTER_S, PageDoor, Use
 from hilserver.io.page.listening import listen, tls_context
 from tests.page.test_users import make_tls
 
@@ -33,7 +33,7 @@ class Transport:
 
 @pytest.fixture
 async def come_in():
-    door, made = Door(most=MOST), []
+    door, made = PageDoor(most=MOST), []
 
     def come_in(address, use=Use.WAITS, age_s=0.0):
         place, transport = door.place(address), Transport(address)
@@ -77,7 +77,7 @@ async def test_a_request_that_never_ends_yields(come_in):
 
 async def test_who_sends_no_whole_request_is_gone_in_time(monkeypatch):
     monkeypatch.setattr(door_module, "HEAD_S", 0.01)
-    place, transport = Door(most=MOST).place("192.0.2.1"), Transport("192.0.2.1")
+    place, transport = PageDoor(most=MOST).place("192.0.2.1"), Transport("192.0.2.1")
     place.connection_made(transport)
     async with asyncio.timeout(60):
         while transport.is_open:  # noqa: ASYNC110 - a transport tells nobody
@@ -110,7 +110,7 @@ def test_whoever_begins_with_encryption_at_once_is_understood(tmp_path, make_loo
     tls = tls_context(tmp_path / "page.pem", tmp_path / "page.key")
 
     async def greet():
-        listener, door = listen("127.0.0.1", 0), Door(tls)
+        listener, door = listen("127.0.0.1", 0), PageDoor(tls)
         door.behind = Echo
         port = listener.getsockname()[1]
         greetings = [asyncio.to_thread(says_hello, port) for _ in range(60)]
@@ -130,7 +130,7 @@ async def test_whoever_never_says_hello_gives_its_place_back(tmp_path, monkeypat
     monkeypatch.setattr(door_module, "HEAD_S", 0.2)
     make_tls(tmp_path)
     tls = tls_context(tmp_path / "page.pem", tmp_path / "page.key")
-    listener, door = listen("127.0.0.1", 0), Door(tls)
+    listener, door = listen("127.0.0.1", 0), PageDoor(tls)
     letting_in = asyncio.create_task(door.let_in(listener))
     reader, writer = await asyncio.open_connection(*listener.getsockname())
     async with asyncio.timeout(60):

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from hilserver.io.page.driving import Driving
+from hilserver.io.page.driving import PageDriving
 from hilserver.io.page.hand import RefusedError
 
 PAGE, NOBODY = {"control.source": "page"}, {"control.source": "nobody"}
@@ -37,7 +37,7 @@ class Seat:
 
 @pytest.fixture
 async def rig():
-    driving, written = Driving(deadman_ms=300.0), []
+    driving, written = PageDriving(deadman_ms=300.0), []
     loop = asyncio.create_task(driving.run())
     yield driving, Seat(1, "first", written), Seat(2, "second", written), written
     loop.cancel()

@@ -13,8 +13,8 @@ from aiohttp import web
 from hilserver.image.board import REGION, WORDS, Board
 from hilserver.io.page import live as live_module
 from hilserver.io.page.browsers import Browser
-from hilserver.io.page.door import Door
-from hilserver.io.page.driving import Driving
+from hilserver.io.page.door import PageDoor
+from hilserver.io.page.driving import PageDriving
 from hilserver.io.page.live import Live
 from tests.fakes import make_image
 
@@ -32,12 +32,12 @@ async def page(monkeypatch):
     live = Live(
         image,
         {},
-        Driving(300.0),
+        PageDriving(300.0),
         rate_hz=200.0,
         max_clients=PLACES,
         jobs=SimpleNamespace(view=list),
         stopping=None,
-        door=Door(),
+        door=PageDoor(),
     )
     browser = Browser(hand=None)
     application = web.Application()

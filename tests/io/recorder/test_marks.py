@@ -8,7 +8,7 @@ from hilserver.image.ring import publish_frame
 from hilserver.image.shared_file import path_of
 from hilserver.io.recorder import marks
 from hilserver.io.recorder.marks import Mark, Marks
-from hilserver.io.recorder.source import Source
+from hilserver.io.recorder.source import FrameSource
 from tests.fakes import make_image
 
 RING, BATCH, TICKS = 1024, 100, 20_000
@@ -42,7 +42,7 @@ def mark_files(plant):
 
 
 def test_no_frame_is_lost_however_slow_the_recorder_is(plant):
-    source = Source(plant.image.name)
+    source = FrameSource(plant.image.name)
     making = threading.Thread(target=plant.run)
     making.start()
     ticks = []
@@ -58,7 +58,7 @@ def test_no_frame_is_lost_however_slow_the_recorder_is(plant):
 
 def test_real_time_waits_for_nobody():
     plant = Plant({})
-    source = Source(plant.image.name)
+    source = FrameSource(plant.image.name)
     assert source.mark is None
     plant.run()
     source.frames()

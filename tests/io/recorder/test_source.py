@@ -9,7 +9,7 @@ from hilserver.image.requests import post_request, serve
 from hilserver.image.ring import publish_frame
 from hilserver.image.shared_file import path_of
 from hilserver.image.state_request import ask_for_state, take_request
-from hilserver.io.recorder.source import Source
+from hilserver.io.recorder.source import FrameSource
 from tests.fakes import make_image
 
 RING = 1024
@@ -20,7 +20,7 @@ class World:
 
     def __init__(self):
         self.image = make_image(ring_length=RING, live={"x": 4})
-        self.source = Source(self.image.name)
+        self.source = FrameSource(self.image.name)
         self.tick = 0
 
     def run(self, n):
@@ -146,4 +146,4 @@ def test_without_a_daemon_it_says_so():
     with pytest.raises(
         FailedError, match="no process image 'nobody'; is the daemon running"
     ):
-        Source("nobody")
+        FrameSource("nobody")

@@ -30,9 +30,8 @@ async def heard(domain):
     }
     config = {"ros2": ros2, "observer": {"enabled": True, "source": "measured"}}
     async with open_hil(config, "virtual") as kit:
-        await asyncio.sleep(
-            0.5
-        )  # a value is no older than the simulation, by the wall clock
+        # a value is no older than the simulation, by the wall clock
+        await asyncio.sleep(0.5)
         part = kit.daemon.parts_of("ros2")[1]
         topics = {topic.name: topic for topic in part._topics}
 

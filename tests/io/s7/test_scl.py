@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hilserver.config.root import Config
-from hilserver.config.s7 import FORMS, Place, overlap
+from hilserver.config.s7 import FORMS, BlockPlace, overlap
 from hilserver.io.s7.scl import to_scl
 
 MEMBER = re.compile(r"^ {6}(\w+) : (?:ARRAY\[0\.\.(\d+)\] OF )?(\w+);", re.MULTILINE)
@@ -43,7 +43,7 @@ def places(draw):
 def test_every_member_stands_where_the_layout_says(found):
     chosen = []
     for kind, at in found:
-        if overlap([Place.parse(*one) for one in [*chosen, (kind, at)]]) is None:
+        if overlap([BlockPlace.parse(*one) for one in [*chosen, (kind, at)]]) is None:
             chosen.append((kind, at))
     layout = [
         {"signal": f"signal.n{number}", "type": kind, "at": at}

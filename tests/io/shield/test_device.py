@@ -8,7 +8,7 @@ import pytest
 from hilserver.config.shield import ShieldConfig
 from hilserver.core.inputs import Refusal
 from hilserver.io.shield.device import Device
-from hilserver.io.shield.protocol import Command, Request
+from hilserver.io.shield.protocol import Request, ShieldCommand
 from hilserver.io.shield.status import ShieldStatus
 from hilserver.io.source import Source
 
@@ -46,7 +46,7 @@ class Bench:
 
     def rpm(self, *rpm):
         return self.ask(
-            Command.SET_RPM, struct.pack("<4h", *(round(100 * r) for r in rpm))
+            ShieldCommand.SET_RPM, struct.pack("<4h", *(round(100 * r) for r in rpm))
         )
 
     @property
@@ -59,15 +59,15 @@ class Bench:
 
 @pytest.fixture
 def bench():
-    return Bench().ask(Command.ENABLE)
+    return Bench().ask(ShieldCommand.ENABLE)
 
 
 def test_speeds_go_to_the_wheels_of_the_channels(bench):
     assert bench.rpm(1, 2, 3, 4).setpoints == [4, 3, 2, 1]
     assert bench.values["control.mode"] == 0
-    crc = Bench(variant="crc").ask(Command.ENABLE)
+    crc = Bench(variant="crc").ask(ShieldCommand.ENABLE)
     assert crc.rpm(1, 2, 3, 4).setpoints == [1, 3, 2, 4]
-    own = Bench(channels=("rr", "fr", "fl", "rl")).ask(Command.ENABLE)
+    own = Bench(channels=("rr", "fr", "fl", "rl")).ask(ShieldCommand.ENABLE)
     assert own.rpm(1, 2, 3, 4).setpoints == [3, 4, 2, 1]
 
 
@@ -77,7 +77,7 @@ def test_too_fast_is_scaled_together_and_named(bench):
 
 
 def test_nothing_moves_without_enable():
-    bench = Bench().rpm(1, 2, 3, 4).ask(Command.SET_PWM, b"\1\2\3\4")
+    bench = Bench().rpm(1, 2, 3, 4).ask(ShieldCommand.SET_PWM, b"\1\2\3\4")
     assert bench.values == {}
     assert bench.status.fault_counts["while_disabled"] == 2
     bench.rpm(0, 0, 0, 0)
@@ -85,12 +85,12 @@ def test_nothing_moves_without_enable():
 
 
 def test_disable_stops(bench):
-    bench.rpm(1, 2, 3, 4).ask(Command.DISABLE)
+    bench.rpm(1, 2, 3, 4).ask(ShieldCommand.DISABLE)
     assert (bench.values["drive.enable"], bench.setpoints) == (False, [0, 0, 0, 0])
 
 
 def test_duties_pass_the_controller(bench):
-    bench.ask(Command.SET_PWM, struct.pack("<4b4x", 10, -20, 127, -128))
+    bench.ask(ShieldCommand.SET_PWM, struct.pack("<4b4x", 10, -20, 127, -128))
     assert bench.values["control.mode"] == 2
     duties = [
         bench.values[f"wheel.{wheel}.duty_command_pct"]
@@ -100,7 +100,7 @@ def test_duties_pass_the_controller(bench):
 
 
 def test_lights():
-    bench = Bench().ask(Command.LIGHTS_FLASH_LEFT, b"\x01\x02\x03")
+    bench = Bench().ask(ShieldCommand.LIGHTS_FLASH_LEFT, b"\x01\x02\x03")
     assert bench.values == {
         "lights.command": 4,
         "lights.red": 1,
@@ -110,21 +110,23 @@ def test_lights():
 
 
 def test_the_host_sets_how_long_it_may_be_silent(bench):
-    bench.ask(Command.UART_TIMEOUT, struct.pack("<f", 0.25))
+    bench.ask(ShieldCommand.UART_TIMEOUT, struct.pack("<f", 0.25))
     assert bench.device.limit_ns == 250_000_000
     for wrong in (0.0, -1.0, math.nan, math.inf):
-        bench.ask(Command.UART_TIMEOUT, struct.pack("<f", wrong))
+        bench.ask(ShieldCommand.UART_TIMEOUT, struct.pack("<f", wrong))
     assert bench.device.limit_ns == 250_000_000
 
 
 def test_parameters_are_stored_shown_and_counted_as_without_effect(bench):
     for command, number in (
-        (Command.KP, 0.5),
-        (Command.KI, 10.0),
-        (Command.GEAR_RATIO, 72.0),
+        (ShieldCommand.KP, 0.5),
+        (ShieldCommand.KI, 10.0),
+        (ShieldCommand.GEAR_RATIO, 72.0),
     ):
         bench.ask(command, struct.pack("<f", number))
-    bench.ask(Command.AUX1, b"\xff").ask(Command.IMU_CALIBRATE).ask(Command.SYNC)
+    bench.ask(ShieldCommand.AUX1, b"\xff").ask(ShieldCommand.IMU_CALIBRATE).ask(
+        ShieldCommand.SYNC
+    )
     assert bench.status.parameters == {
         "kp": 0.5,
         "ki": 10.0,
@@ -137,11 +139,11 @@ def test_parameters_are_stored_shown_and_counted_as_without_effect(bench):
 
 
 def test_parameters_are_applied_where_that_is_asked_for():
-    bench = Bench(parameters="apply").ask(Command.KP, struct.pack("<f", 0.5))
-    bench.ask(Command.KI, struct.pack("<f", 10.0))
+    bench = Bench(parameters="apply").ask(ShieldCommand.KP, struct.pack("<f", 0.5))
+    bench.ask(ShieldCommand.KI, struct.pack("<f", 10.0))
     assert math.isnan(bench.gains[0][1])
     assert bench.gains[1] == (0.5, 10.0)
-    bench.ask(Command.KP, struct.pack("<f", 1e4))
+    bench.ask(ShieldCommand.KP, struct.pack("<f", 1e4))
     assert bench.status.fault_counts["bad_number"] == 1
 
 
@@ -152,9 +154,11 @@ def test_an_unknown_command_is_named():
 
 
 def test_a_request_without_its_end_never_moves_the_robot(bench):
-    bench.ask(Command.SET_RPM, struct.pack("<4h", 1, 2, 3, 4), is_terminated=False)
+    bench.ask(
+        ShieldCommand.SET_RPM, struct.pack("<4h", 1, 2, 3, 4), is_terminated=False
+    )
     assert bench.setpoints == [0, 0, 0, 0]
-    bench.ask(Command.KP, struct.pack("<f", 0.5), is_terminated=False)
+    bench.ask(ShieldCommand.KP, struct.pack("<f", 0.5), is_terminated=False)
     assert bench.status.parameters == {"kp": 0.5}
 
 

@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 
 from hilserver.io.shield import words as w
 from hilserver.io.shield.framing import COMPLETE, feed, stands_alone
-from hilserver.io.shield.protocol import REQUEST_BYTES, Command, request
+from hilserver.io.shield.protocol import REQUEST_BYTES, ShieldCommand, request
 
 PAUSE = None
 """Stands in a stream for silence on the line."""
 
-commands = st.sampled_from(list(Command))
+commands = st.sampled_from(list(ShieldCommand))
 requests = st.builds(request, commands, st.binary(min_size=8, max_size=8))
 payloads = st.binary(min_size=8, max_size=8)
 variants = st.sampled_from(["iotbot", "crc"])
@@ -52,7 +52,7 @@ class Line:
         return int(self.state[w.SKIPPED])
 
 
-RPM = request(Command.SET_RPM, bytes(range(8)))
+RPM = request(ShieldCommand.SET_RPM, bytes(range(8)))
 
 
 @given(
@@ -127,7 +127,7 @@ def test_half_a_request_without_its_other_half_costs_nothing_but_itself():
 
 def test_a_window_that_only_looks_right_does_not_last():
     """The payload holds end and start side by side, over and over, and the line lost a byte."""
-    frame = request(Command.SET_RPM, bytes((0, 0xEE, 0xFF, 0x11, 0, 0, 0, 0)))
+    frame = request(ShieldCommand.SET_RPM, bytes((0, 0xEE, 0xFF, 0x11, 0, 0, 0, 0)))
     line = Line()
     found = line.take(frame[1:], *(piece for _ in range(5) for piece in (PAUSE, frame)))
     assert found[-4:] == [frame] * 4

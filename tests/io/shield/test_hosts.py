@@ -10,7 +10,7 @@ import pytest
 
 from hilserver.errors import FailedError
 from hilserver.io.shield import words as w
-from hilserver.io.shield.protocol import BYTE_NS, Command, request
+from hilserver.io.shield.protocol import BYTE_NS, ShieldCommand, request
 from tests.io.shield.conftest import random_bytes, running_robot
 
 pytestmark = [pytest.mark.asyncio(loop_scope="module")]
@@ -77,7 +77,7 @@ async def test_silence_withdraws_enable_and_a_command_brings_it_back(robot):
 async def test_a_request_too_many_is_counted_and_the_rest_answered(robot):
     await robot.forget()
     host = os.open(robot.shield.address, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-    os.write(host, request(Command.SET_RPM) * 2)
+    os.write(host, request(ShieldCommand.SET_RPM) * 2)
     await robot.until(lambda: robot.status.count(w.RESPONSES) == 2, "both are answered")
     os.close(host)
 
@@ -137,7 +137,7 @@ async def test_a_real_line_is_answered_and_its_loss_survived(tmp_path, host_prog
     device = os.ttyname(far)
     os.close(far)
     async with running_robot(tmp_path, host_program, device=device) as robot:
-        os.write(near, request(Command.ENABLE))
+        os.write(near, request(ShieldCommand.ENABLE))
         os.set_blocking(near, False)
         got = bytearray()
 
@@ -147,7 +147,7 @@ async def test_a_real_line_is_answered_and_its_loss_survived(tmp_path, host_prog
             return len(got) == 32
 
         await robot.until(answered, "the line to answer")
-        assert got[0] == Command.ENABLE
+        assert got[0] == ShieldCommand.ENABLE
         os.close(near)
 
         def is_named():
@@ -173,7 +173,9 @@ async def test_what_comes_when_a_line_is_back_belongs_to_nothing_before(
     async with running_robot(tmp_path, host_program, **limits) as robot:
         os.close(far)
         words, opened, back_ns = robot.status.words, robot.shield._opened, []
-        os.write(near, request(Command.ENABLE) + request(Command.ENABLE)[:5])
+        os.write(
+            near, request(ShieldCommand.ENABLE) + request(ShieldCommand.ENABLE)[:5]
+        )
         await robot.until(
             lambda: words[w.RING_TAIL] == 1 and words[w.FILL] == 5,
             "a request and a half are there",
@@ -182,7 +184,7 @@ async def test_what_comes_when_a_line_is_back_belongs_to_nothing_before(
         def opened_and_sent():
             line = opened()
             back_ns.append(time.monotonic_ns())
-            os.write(near, request(Command.ENABLE))
+            os.write(near, request(ShieldCommand.ENABLE))
             return line
 
         monkeypatch.setattr(robot.shield, "_opened", opened_and_sent)

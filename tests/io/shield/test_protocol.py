@@ -14,8 +14,8 @@ from hilserver.io.shield.answer import answer, places
 from hilserver.io.shield.protocol import (
     BYTE_NS,
     RESPONSE_BYTES,
-    Command,
     Request,
+    ShieldCommand,
     crc8,
     request,
 )
@@ -55,34 +55,38 @@ def response(data):
 
 def test_a_request_as_the_drivers_write_it():
     rpm = struct.pack("<4h", 1000, -1000, 1, -1)
-    assert request(Command.SET_RPM, rpm) == bytes.fromhex("ff11e80318fc0100ffffee")
-    assert request(Command.ENABLE) == bytes.fromhex("ff010000000000000000ee")
+    assert request(ShieldCommand.SET_RPM, rpm) == bytes.fromhex(
+        "ff11e80318fc0100ffffee"
+    )
+    assert request(ShieldCommand.ENABLE) == bytes.fromhex("ff010000000000000000ee")
 
 
 def test_check_sum_is_that_of_the_catalogue():
-    assert (
-        crc8(b"123456789", 0, 9) == 0xF4
-    )  # CRC-8/SMBUS of the catalogue of CRC algorithms
+    # CRC-8/SMBUS of the catalogue of CRC algorithms
+    assert crc8(b"123456789", 0, 9) == 0xF4
 
 
 def test_check_sum_covers_only_eight_bytes():
     one, other = (
-        request(Command.SET_RPM, bytes((1, 2, 3, 4, 5, 6, x)), "crc") for x in (0, 99)
+        request(ShieldCommand.SET_RPM, bytes((1, 2, 3, 4, 5, 6, x)), "crc")
+        for x in (0, 99)
     )
     assert one[10] == other[10] == crc8(one, 0, 8)
 
 
 def test_payloads():
-    floats = Request(Command.KP, struct.pack("<fI", 0.5, 0))
+    floats = Request(ShieldCommand.KP, struct.pack("<fI", 0.5, 0))
     assert (floats.name, floats.number) == ("kp", 0.5)
-    assert Request(Command.SET_RPM, struct.pack("<4h", 1, -2, 3, -4)).speeds_rpm == (
+    assert Request(
+        ShieldCommand.SET_RPM, struct.pack("<4h", 1, -2, 3, -4)
+    ).speeds_rpm == (
         0.01,
         -0.02,
         0.03,
         -0.04,
     )
     assert Request(
-        Command.SET_PWM, struct.pack("<4b4x", 1, -2, 127, -128)
+        ShieldCommand.SET_PWM, struct.pack("<4b4x", 1, -2, 127, -128)
     ).duties_pct == (
         1,
         -2,

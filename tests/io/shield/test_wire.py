@@ -9,7 +9,7 @@ import pytest
 
 from hilserver.io.shield import words as w
 from hilserver.io.shield.framing import stands_alone
-from hilserver.io.shield.protocol import BYTE_NS, REQUEST_BYTES, Command, request
+from hilserver.io.shield.protocol import BYTE_NS, REQUEST_BYTES, ShieldCommand, request
 from hilserver.io.shield.wire import STOOD_NS, _listen, _receive
 
 HOUR_NS, PATIENCE_NS = 3600 * 10**9, 60 * 10**9
@@ -53,7 +53,7 @@ def line():
 
 def test_bytes_that_were_waiting_have_come_without_a_pause(line):
     """A driver that opens the line sends XOFF, then a request without its end: 12 bytes wait."""
-    odd = request(Command.GEAR_RATIO)[:-1] + b"\x07"
+    odd = request(ShieldCommand.GEAR_RATIO)[:-1] + b"\x07"
     os.write(line.near, b"\x13" + odd)
     line.read()
     first_ns = line.state[w.RX_LAST]
@@ -65,10 +65,10 @@ def test_bytes_that_were_waiting_have_come_without_a_pause(line):
 
 
 def test_bytes_that_came_later_have_come_after_a_pause(line):
-    os.write(line.near, b"\x13" + request(Command.ENABLE)[:5])
+    os.write(line.near, b"\x13" + request(ShieldCommand.ENABLE)[:5])
     line.read()
     line.state[w.RX_LAST] -= HOUR_NS
-    os.write(line.near, request(Command.ENABLE))
+    os.write(line.near, request(ShieldCommand.ENABLE))
     line.read()  # no more than the half request lacks
     line.read()
     assert line.state[w.REQUESTS] == 1
@@ -81,11 +81,11 @@ def test_what_has_waited_while_the_thread_stood_is_as_old_as_that(line, limit_ms
     line.state[w.LIMIT] = limit_ms * 1_000_000
     stood_ns = max(STOOD_NS, line.state[w.LIMIT])
     empty_ns = line.state[w.EMPTY] = line.state[w.EMPTY] - stood_ns
-    os.write(line.near, 3 * request(Command.ENABLE))
+    os.write(line.near, 3 * request(ShieldCommand.ENABLE))
     for _ in range(3):
         line.read()
     stood_ns = time.monotonic_ns()
-    os.write(line.near, request(Command.ENABLE))
+    os.write(line.near, request(ShieldCommand.ENABLE))
     line.read()
     rows = line.state[w.RING_ROWS :][: 4 * w.WAITING_MOST].reshape(-1, 4)
     came_ns = rows[: line.state[w.RING_HEAD], 3]
@@ -98,7 +98,7 @@ def test_a_command_survives_a_standstill_that_is_shorter_than_the_limit(line):
     line.read()
     line.state[w.LIMIT] = HOUR_NS
     line.state[w.EMPTY] -= HOUR_NS // 2
-    os.write(line.near, request(Command.ENABLE))
+    os.write(line.near, request(ShieldCommand.ENABLE))
     before_ns = time.monotonic_ns()
     line.read()
     assert line.state[w.RX_LAST] >= before_ns
@@ -113,7 +113,7 @@ def test_whoever_waits_for_bytes_has_just_seen_that_there_are_none(line):
     waiting.start()
     while line.state[w.EMPTY] < before_ns and waiting.is_alive():
         time.sleep(0.001)
-    os.write(line.near, request(Command.ENABLE))
+    os.write(line.near, request(ShieldCommand.ENABLE))
     waiting.join()
     assert line.state[w.REQUESTS] == 1
     assert line.state[w.RX_LAST] > before_ns + REQUEST_BYTES * BYTE_NS
