@@ -9,112 +9,40 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from enum import StrEnum
-from typing import Final
 
 from hilserver.config.doors import DoorRule, Right
 from hilserver.core.events import Event, EventBus, EventKind
 from hilserver.core.handover import HandOver
 from hilserver.core.leases import NOBODY, OFFERING, Leases, kind_of
+from hilserver.core.refusal import (
+    CHOOSING,
+    SENTENCES,
+    Refusal,
+    check_value,
+    reasons_of,
+    spoiled,
+)
 from hilserver.core.rest import Interlock, Rest, is_hand
 from hilserver.image import ProcessImage, Row
-from hilserver.plant.layout import N_COMMANDS, N_SETPOINTS, Inputs
+from hilserver.plant.layout import N_COMMANDS, N_SETPOINTS
 from hilserver.signals import (
-    AUTOMATIC,
     MEASURED,
     SAMPLED,
     SOURCES,
     Signal,
     SignalTable,
-    ValueType,
 )
-from hilserver.signals.numbers import is_finite_number
 from hilserver.status import (
     BAD_WAITING_FOR_INITIAL_DATA,
     UNCERTAIN_LAST_USABLE_VALUE,
 )
 
-
-class Refusal(StrEnum):
-    """Why a value was not accepted."""
-
-    UNKNOWN_SIGNAL = "unknown_signal"
-    NOT_WRITABLE = "not_writable"
-    TYPE_MISMATCH = "type_mismatch"
-    NOT_FINITE = "not_finite"
-    OUT_OF_RANGE = "out_of_range"
-    NOT_IN_CONTROL = "not_in_control"
-    QUEUE_FULL = "queue_full"
-    OUTDATED = "outdated"
-    NOT_AT_REST = "not_at_rest"
-    NOT_STARTED = "not_started"
-    NOT_GRANTED = "not_granted"
-    INCOMPLETE = "incomplete"
-
-
-_CHOOSING: Final = frozenset({"opcua", "page"})  # they choose their signals at run time
-_WITH_HANDS: Final = frozenset({"opcua", "page", "ros2"})  # a person may drive by them
 _MOST_DENIED = 64  # sources whose refusal was reported, until they have control
 # refusals beside another writer that were reported, until it has gone
 _MOST_REPORTED = 256
 # for so long a client without a link holds what it has written
 _HELD_NS = 1_000_000_000
 _GRAIN_NS = 20_000_000  # accuracy of the time at which a command came in
-
-_MODE: Final = Inputs.where("mode").start
-_COMMANDS: Final = (
-    range(Inputs.where("twist_linear").start),
-    range(Inputs.where("twist_linear").start, Inputs.where("duty").start),
-    range(Inputs.where("duty").start, N_SETPOINTS),
-)
-"""Inputs that make up a command: wheel set-points, twist, duties; the mode belongs to each."""
-
-
-def reasons_of(source: str, *, is_door: bool = False) -> set[Refusal]:
-    """Return why a source can be refused; `is_door`: it needs a grant of its section."""
-    reasons = set(Refusal)
-    reasons.discard(Refusal.INCOMPLETE)  # the value that was wrong is counted instead
-    if source not in _CHOOSING:
-        # Its configuration names the signals, and only finite numbers leave a link or a scenario.
-        reasons -= {Refusal.UNKNOWN_SIGNAL, Refusal.NOT_WRITABLE}
-        reasons -= {Refusal.TYPE_MISMATCH, Refusal.NOT_FINITE}
-    if source == "scenario":
-        reasons.discard(Refusal.OUTDATED)  # nothing of it waits to be read
-    if source not in _WITH_HANDS:
-        reasons.discard(Refusal.NOT_AT_REST)
-    if kind_of(source) not in AUTOMATIC - OFFERING:
-        # a link that repeats itself is not counted
-        reasons.discard(Refusal.NOT_STARTED)
-    if not is_door:
-        reasons.discard(Refusal.NOT_GRANTED)
-    return reasons
-
-
-def check_value(signal: Signal, value: object) -> tuple[float, ...] | Refusal:
-    """Return the value as one float per slot, or the reason why it is refused."""
-    if not signal.is_array:
-        parts: Sequence[object] = (value,)
-    elif isinstance(value, Sequence) and not isinstance(value, str | bytes):
-        parts = value
-    else:
-        return Refusal.TYPE_MISMATCH
-    if len(parts) != len(signal.slots):
-        return Refusal.TYPE_MISMATCH
-    numbers: list[float] = []
-    for part in parts:
-        is_boolean = isinstance(part, bool)
-        if not isinstance(part, int | float) or is_boolean != (
-            signal.type is ValueType.BOOLEAN
-        ):
-            return Refusal.TYPE_MISMATCH
-        if not is_boolean and not is_finite_number(part):
-            return Refusal.NOT_FINITE
-        if signal.type is not ValueType.DOUBLE and part != int(part):
-            return Refusal.TYPE_MISMATCH
-        if not signal.low <= part <= signal.high:
-            return Refusal.OUT_OF_RANGE
-        numbers.append(float(part))
-    return tuple(numbers)
 
 
 class InputGate(HandOver):
@@ -229,10 +157,10 @@ class InputGate(HandOver):
             source, values, came_ns < self._ended_ns, now_ns
         )
         wrong = refused.keys() - offers.keys()
-        spoiled = self._spoiled(wrong.union(broken))
+        lost = spoiled(wrong.union(broken), self._table)
         for name in [*rows, *offers]:
             slots = self._table[name].slots
-            if not spoiled.isdisjoint(slots):
+            if not lost.isdisjoint(slots):
                 refused[name] = Refusal.INCOMPLETE
                 rows.pop(name, None)
                 offers.pop(name, None)
@@ -258,7 +186,7 @@ class InputGate(HandOver):
             group = [row for found in rows.values() for row in found]
 
         speaker, placed = self._speaker, self._passed_on(source, group)
-        is_renewed = renews and not is_waiting and not spoiled
+        is_renewed = renews and not is_waiting and not lost
         placed += self._placed(source, group, came_ns if is_renewed else None)
         placed += self._sampled(
             rows if news is None else rows.keys() & news, now_ns, age_ns
@@ -307,18 +235,6 @@ class InputGate(HandOver):
             if kind in OFFERING and not is_outdated:
                 offered[name] = [row for row in found if row.slot < N_COMMANDS]
         return rows, offered, refused
-
-    def _spoiled(self, wrong: Iterable[str]) -> set[int]:
-        """Return the slots of the commands that cannot be whole without these names."""
-        spoiled = set[int]()
-        for name in wrong:
-            slots: tuple[int, ...] = (_MODE,)
-            if name in self._table and not self._table[name].hidden:
-                slots = tuple(self._table[name].slots)
-            for command in _COMMANDS:
-                if _MODE in slots or slots[0] in command:
-                    spoiled.update(command)
-        return spoiled | {_MODE} if spoiled else spoiled
 
     def _other_writer(self, source: str, signal: Signal, now_ns: int) -> str:
         """Return who writes this signal already, if that is somebody else; two never mix.
@@ -469,16 +385,8 @@ class InputGate(HandOver):
             return (
                 f"{door.title} knows no log-in, and {door.key} does not name '{right}'"
             )
-        if reason is Refusal.OUTDATED:
-            return (
-                "it arrived before Reset, Pause or LoadSnapshot discarded the commands"
-            )
-        if reason is Refusal.NOT_AT_REST:
-            return "it was held over Reset, Pause or LoadSnapshot; let go first, then drive"
-        if reason is Refusal.NOT_STARTED:
-            return "automatic sources wait for Start after a safe state: call Start"
-        if reason is Refusal.INCOMPLETE:
-            return "another value of the same command was refused; one acts whole or not at all"
+        if reason in SENTENCES:
+            return SENTENCES[reason]
         if reason is Refusal.OUT_OF_RANGE:
             return f"outside {self._table[name].range_text}"
         if reason is Refusal.TYPE_MISMATCH:
@@ -528,7 +436,7 @@ class InputGate(HandOver):
         Those of a scenario stay: it may begin anew in the same tick.
         """
         self.outdate()
-        if self.owner in _CHOOSING:
+        if self.owner in CHOOSING:
             places = (
                 self.leases.place(self.owner, slot) for slot in range(N_SETPOINTS)
             )

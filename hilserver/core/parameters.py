@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hilserver.core.events import Event, EventBus, EventKind
-from hilserver.core.inputs import Refusal
+from hilserver.core.refusal import Refusal
 from hilserver.core.snapshot import SnapshotStore
 from hilserver.errors import ControlRefused
 from hilserver.image import ProcessImage

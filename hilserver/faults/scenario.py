@@ -23,8 +23,9 @@ from pydantic import ConfigDict, Field, model_validator
 
 from hilserver.config.loading import MAX_BYTES, load, place, placed
 from hilserver.config.section import Section
-from hilserver.core.inputs import InputGate, Refusal, check_value
+from hilserver.core.inputs import InputGate
 from hilserver.core.parameters import LiveParameters
+from hilserver.core.refusal import Refusal, check_value
 from hilserver.errors import ConfigError, ControlRefused, no_signal
 from hilserver.faults.book import Faults
 from hilserver.faults.model import Fault, Seconds

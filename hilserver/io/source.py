@@ -6,7 +6,8 @@ from typing import Final, NamedTuple
 
 from hilserver.config.section import Driver
 from hilserver.core.events import Event, EventKind
-from hilserver.core.inputs import InputGate, Refusal
+from hilserver.core.inputs import InputGate
+from hilserver.core.refusal import Refusal
 from hilserver.core.staleness import Staleness, Transition
 from hilserver.io.arrival import Arrivals
 from hilserver.io.link_status import FaultBook, PeerStatus

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from hilserver.core.inputs import Refusal, check_value
 from hilserver.core.leases import Leases
+from hilserver.core.refusal import Refusal, check_value
 from hilserver.image import ProcessImage, Row
 from hilserver.signals import Signal, SignalTable
 

@@ -17,7 +17,7 @@ from functools import wraps
 from pathlib import Path
 from typing import Any, Concatenate, Literal, ParamSpec, Self, TypeVar
 
-from hilserver.core.inputs import Refusal
+from hilserver.core.refusal import Refusal
 from hilserver.daemon.daemon import Daemon
 from hilserver.errors import ConfigError, ControlRefused, no_signal
 from hilserver.faults.model import Fault, parse_fault

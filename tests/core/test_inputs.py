@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hilserver.core.events import EventBus, EventKind
-from hilserver.core.inputs import Refusal, check_value
+from hilserver.core.refusal import Refusal, check_value
 from hilserver.errors import ControlRefused
 from hilserver.signals import robot_table
 from hilserver.status import GOOD, UNCERTAIN_LAST_USABLE_VALUE

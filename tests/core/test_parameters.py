@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hilserver.config.root import Config
-from hilserver.core.inputs import Refusal
+from hilserver.core.refusal import Refusal
 from hilserver.daemon.assembly import assemble_config
 from hilserver.daemon.builder import build
 from hilserver.errors import ControlRefused

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from hilserver.compiled.histogram import N_BUCKETS, Histogram125
 from hilserver.core import metrics as core
-from hilserver.core.inputs import reasons_of
 from hilserver.core.recalibration import RECALIBRATION_METRICS, Figures
+from hilserver.core.refusal import reasons_of
 from hilserver.daemon import metrics as daemon
 from hilserver.daemon.outputs import EXPORTED
 from hilserver.faults import metrics as faults

@@ -30,8 +30,9 @@ from typing import Any
 from asyncua import ua
 
 from hilserver.core.events import Event, EventKind
-from hilserver.core.inputs import InputGate, Refusal, check_value
+from hilserver.core.inputs import InputGate
 from hilserver.core.leases import NOBODY, TELEOP, kind_of
+from hilserver.core.refusal import Refusal, check_value
 from hilserver.core.rest import is_hand, is_terminal
 from hilserver.errors import ControlRefused, UserError
 from hilserver.image import ProcessImage

@@ -6,8 +6,8 @@ from typing import Any
 
 from asyncua import ua
 
-from hilserver.core.inputs import Refusal
 from hilserver.core.parameters import LiveParameters, Refused
+from hilserver.core.refusal import Refusal
 from hilserver.io.opcua_server.model import PARAMETERS
 from hilserver.opcua.encoding import FixedDataValue
 

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from hilserver.config.ros2 import REAL_ROBOT, Ros2Config, Ros2Measured
 from hilserver.core.events import Event, EventKind
-from hilserver.core.inputs import Refusal, check_value
+from hilserver.core.refusal import Refusal, check_value
 from hilserver.core.staleness import Staleness, Transition
 from hilserver.io.link_status import FaultBook, LinkState, PeerStatus
 from hilserver.io.ros2.participant import Arrival, In, Participant

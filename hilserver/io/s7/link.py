@@ -5,7 +5,7 @@ from collections.abc import Collection, Mapping
 from typing import Final
 
 from hilserver.config.s7 import S7Server
-from hilserver.core.inputs import Refusal
+from hilserver.core.refusal import Refusal
 from hilserver.core.staleness import Transition
 from hilserver.errors import address_refused
 from hilserver.image import Frame

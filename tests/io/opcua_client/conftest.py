@@ -15,7 +15,7 @@ from asyncua import Server, ua
 from hilserver.config.peers import PeerConfig
 from hilserver.core.clock import UtcClock
 from hilserver.core.events import EventBus, EventKind
-from hilserver.core.inputs import Refusal
+from hilserver.core.refusal import Refusal
 from hilserver.faults import PeerLine
 from hilserver.io.opcua_client import LinkSecurity, PeerLink
 from hilserver.opcua.standard_nodes import QuickInternalServer

@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from hilserver.core.inputs import Refusal
+from hilserver.core.refusal import Refusal
 from hilserver.io.opcua_client.acquisition import too_many_missed, too_slow
 from hilserver.io.opcua_client.subscription import Grant
 from hilserver.period import every

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import pytest
 from asyncua import ua
 
-from hilserver.core.inputs import Refusal
+from hilserver.core.refusal import Refusal
 from hilserver.faults import PeerLine
 from hilserver.faults.model import parse_fault
 from hilserver.plant.layout import WHEELS

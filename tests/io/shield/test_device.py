@@ -6,7 +6,7 @@ import struct
 import pytest
 
 from hilserver.config.shield import ShieldConfig
-from hilserver.core.inputs import Refusal
+from hilserver.core.refusal import Refusal
 from hilserver.io.shield.device import Device
 from hilserver.io.shield.protocol import Request, ShieldCommand
 from hilserver.io.shield.status import ShieldStatus
