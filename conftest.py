@@ -52,7 +52,9 @@ def pytest_unconfigure():
 
 
 @pytest.fixture(autouse=True)
-def _own_logging():
-    """Forget the logging that a command set up in the process of the tests."""
+def _process_as_before():
+    """Forget the logging that a command set up here; let none leave its priority to the others."""
+    priority = os.nice(0)
     yield
     structlog.reset_defaults()
+    assert os.nice(0) == priority, "the test changed the priority of all tests after it"

@@ -33,7 +33,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Serve until stopped, or until the daemon that started us has ended."""
-    os.nice(NICENESS)
     if args.beside is not None:
         setup = Setup.from_json(sys.stdin.readline())
         listener = socket.socket(fileno=args.beside)
@@ -45,6 +44,7 @@ def run(args: argparse.Namespace) -> int:
         logging.basicConfig(format="%(message)s")
         logging.getLogger("hilserver").setLevel(logging.INFO)
         print(f"operator page: {url}", file=sys.stderr, flush=True)
+    os.nice(NICENESS)
     server = PageServer(setup)
     give_back_code()
     return event_loop.run(
