@@ -103,7 +103,7 @@ def test_two_of_one_name(file):
     ("text", "says"),
     [
         ("{}", "'require' is missing"),
-        ("require: []", "at least 1"),
+        ("require: []", "it should be 1 or more entries"),
         (
             "require: [{name: a, signal: s, below: 1, witin_s: 3}]",
             "did you mean 'within_s'",

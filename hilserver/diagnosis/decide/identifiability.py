@@ -162,7 +162,9 @@ def _in_its_place(
     difference = trial.loss - point.loss
     penalty = cost(c, saved) - cost(point.model.fitted[index].candidate, saved)
     worse = float(difference.sum()) + penalty
-    tie = max(TIE, INEXACT * saved)  # forms are no more exact
+    # Where not even their slopes differ, what is left is how exact the forms are.
+    is_twin = saved * (1.0 - alike * alike) < TIE
+    tie = max(TIE, INEXACT * saved) if is_twin else TIE
     return Rival(
         c, trial, alike, worse, deviations(difference, penalty), point.is_gross, tie
     )
