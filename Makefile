@@ -31,7 +31,7 @@ run: $(VENV)/.run $(if $(BODY),$(VENV)/.physics) ## Install if needed and drive 
 # than there are cores. The second keeps time: three files at once, which mostly wait. It begins
 # with those that take longest, so that none is left alone at the end.
 TIMED := tests/page tests/prometheus tests/soak tests/node_red tests/examples tests/control \
-    tests/security/test_attack.py tests/io/recorder/test_process.py tests/commands/test_wiring.py \
+    tests/security/test_attack.py tests/io/recorder/test_process.py tests/commands/test_wiring.py tests/commands/test_demo.py \
     tests/systemd tests/scheduler tests/loopback/test_metrics.py
 CORES := $(shell env -u OMP_NUM_THREADS nproc)
 SHARED := --numprocesses $(shell expr $(CORES) + 1) --maxprocesses 8 --dist worksteal

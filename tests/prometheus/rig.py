@@ -17,6 +17,8 @@ from tests.prometheus.server import Prometheus, running_prometheus, until
 
 HERE = Path(__file__).parent
 NO_SUCH_CORE = 4095
+STALE_MS = 3000.0
+"""A busy computer holds up daemon and controller for longer than half a second."""
 
 
 @dataclass
@@ -58,10 +60,14 @@ def assembly(
             "metrics": {"port": port},
             "scheduler": {
                 "policy": "skip",
+                "communication_timeout_ms": 0,
                 "limits": {"single_overrun_ms": None, "consecutive_overruns": None},
                 "realtime": realtime,
             },
-            "peers": [demo_peer(endpoint, name="iot2050").model_dump(mode="json")],
+            "peers": [
+                demo_peer(endpoint, name="iot2050").model_dump(mode="json")
+                | {"stale_after_ms": STALE_MS}
+            ],
             "blocks": [burn] if blocks else [],
             "shield": {
                 "enabled": blocks,
