@@ -86,9 +86,6 @@ def ready(sources: HealthSources, now_ns: int) -> HealthVerdict:
 
 REQUEST_BYTES_MAX = 8192
 CONNECTIONS_MAX = 128
-TURNS_TO_ACCEPT = (
-    4  # of the loop, from the listening socket to `_accept`; asyncio needs three
-)
 TIMEOUT_S = 2.0
 LINGER_S = 0.2
 RENDER_EVERY_S = 0.05
@@ -183,9 +180,6 @@ class HttpServer:
         if self._server is None:
             return
         self._server.close()
-        # What was accepted just now gets its transport in one of the next turns of the loop.
-        for _ in range(TURNS_TO_ACCEPT):
-            await asyncio.sleep(0)
         for job in tuple(self._open):
             await job.end()
         await self._server.wait_closed()

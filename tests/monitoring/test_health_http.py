@@ -310,20 +310,6 @@ async def test_stop_ends_open_connections_and_frees_the_port() -> None:
         free.bind(("127.0.0.1", endpoint.server.port))
 
 
-@pytest.mark.parametrize("turns", range(5))
-async def test_a_connection_that_comes_in_as_it_stops_is_closed(turns: int) -> None:
-    """Accepted, but without a transport until some turns of the loop later."""
-    endpoint = Endpoint()
-    await endpoint.server.start()
-    with socket.create_connection(("127.0.0.1", endpoint.server.port)) as client:
-        client.settimeout(5.0)
-        for _ in range(turns):
-            await asyncio.sleep(0)
-        await endpoint.server.stop()
-        with contextlib.suppress(ConnectionResetError):
-            assert client.recv(1) == b""
-
-
 def test_the_url_of_an_ipv6_address_has_brackets() -> None:
     server = Endpoint().server
     server.host, server.port = "::1", 9464
