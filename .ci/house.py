@@ -30,6 +30,8 @@ CONSTANT = re.compile(r"[A-Z][A-Z0-9_]+")
 DENSE = 25
 """AST nodes of an expression that one no longer reads at a glance."""
 MORE_IS_BETTER = {"comments_percent"}
+UNFELT = 0.005
+"""Share of a number by which it may be worse: a line more or less that no reader feels."""
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
@@ -250,17 +252,15 @@ def ratio(part: float, whole: float) -> float:
 
 
 def worse(now: dict[str, float], before: dict[str, float]) -> list[str]:
-    """Return a sentence for every number that is worse than before."""
-    return [
-        f"{name} is {now[name]:g}, it was {before[name]:g}"
-        for name in before
-        if name in now
-        and (
-            now[name] < before[name]
-            if name in MORE_IS_BETTER
-            else now[name] > before[name]
-        )
-    ]
+    """Return a sentence for every number that is worse than before by more than `UNFELT`."""
+    found = []
+    for name in before.keys() & now.keys():
+        loss = now[name] - before[name]
+        if name in MORE_IS_BETTER:
+            loss = -loss
+        if loss > UNFELT * before[name]:
+            found.append(f"{name} is {now[name]:g}, it was {before[name]:g}")
+    return sorted(found)
 
 
 def show(house: House, before: dict[str, float]) -> None:

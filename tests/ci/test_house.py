@@ -114,3 +114,15 @@ def test_what_gets_better_passes(house: Path) -> None:
     (house / "hilserver" / "attic" / "roof.py").unlink()
     assert run(house, "--check").returncode == 0
     assert "names_of_several_classes             0         1" in run(house).stdout
+
+
+def test_what_no_reader_feels_passes(house: Path) -> None:
+    """Before, one commit that made nodes per line 10.97 from 10.96 kept all else from landing."""
+    run(house, "--write")
+    baseline = json.loads((house / "house.json").read_text())
+    baseline["numbers"]["nodes_per_code_line"] -= 0.05
+    (house / "house.json").write_text(json.dumps(baseline))
+    assert run(house, "--check").returncode == 0
+    baseline["numbers"]["nodes_per_code_line"] -= 0.05
+    (house / "house.json").write_text(json.dumps(baseline))
+    assert run(house, "--check").returncode == 1
