@@ -1,9 +1,10 @@
+import asyncio
 import subprocess
 
 import pytest
 
 from tests.helpers.daemons import running_daemon
-from tests.page.rig import Browser, Plant, page_url
+from tests.page.rig import RUNNING, Browser, Plant, page_url, restart
 
 CONFIG = """
 page: {port: 0, max_clients: 5}
@@ -47,8 +48,13 @@ def chromium():
 
 
 @pytest.fixture
-def browser(chromium):
-    """A tab of its own in the one browser of all tests; afterwards it shows nothing."""
+def browser(chromium, daemon, plant):
+    """A tab of its own in the one browser of all tests; afterwards it shows nothing.
+
+    The robot runs again, whatever a test that failed before has left.
+    """
+    if plant.value("sim.state") != RUNNING:
+        asyncio.run(restart(daemon.url))
     chromium.do("fresh")
     yield chromium
     chromium.do("leave")

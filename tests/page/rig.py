@@ -13,8 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from hilserver.image import ImageReader, read_frames
+from tests.io.opcua_server.rig import RobotClient
 
 HERE = Path(__file__).parent
+RUNNING, SAFE = 1, 3
 SETPOINTS = tuple(f"wheel.{wheel}.setpoint_rpm" for wheel in ("fl", "rl", "fr", "rr"))
 SEEN = (
     "sim.tick",
@@ -79,6 +81,27 @@ class Plant:
         latched = frames.words[:end, 2]
         last = int(np.flatnonzero(np.diff(latched))[-1]) + 1
         return int(frames.ticks[end] - frames.ticks[last])
+
+
+def reset(browser, plant):
+    """Press Reset until the robot is back, as an operator would.
+
+    On a slow computer the page sends a Stop twice, and the second may come after the first Reset.
+    """
+    while plant.value("sim.state") != RUNNING:
+        browser.do("wait", selector=".banner button", text="Reset")
+        browser.do("click", role="button", name="Reset")
+        with contextlib.suppress(AssertionError):
+            plant.wait(lambda: plant.value("sim.state") == RUNNING, timeout_s=10.0)
+
+
+async def restart(url):
+    """Reset and Start as an OPC UA client, whatever a test before has left."""
+    client = RobotClient(url)
+    await client.connect()
+    for method in ("Reset", "Start"):
+        await client.call(method)
+    await client.disconnect()
 
 
 def page_url(daemon):

@@ -8,7 +8,7 @@ import pytest
 from asyncua import ua
 
 from tests.io.opcua_server.rig import RobotClient
-from tests.page.rig import DEADMAN_MS, page_process, page_url
+from tests.page.rig import DEADMAN_MS, page_process, page_url, reset
 
 pytestmark = pytest.mark.page
 LIMIT_MS = DEADMAN_MS + 2000 / 30
@@ -132,8 +132,7 @@ def test_the_emergency_stop_needs_no_webgl(driving, plant):
     driving.do("click", role="button", name="Stop emergency")
     plant.wait(lambda: plant.value("sim.state") == 3)
     driving.do("up", key="ArrowUp")
-    driving.do("click", role="button", name="Reset")
-    plant.wait(lambda: plant.value("sim.state") == 1)
+    reset(driving, plant)
 
 
 def test_a_gamepad_drives_while_its_stick_is_held(browser, url, plant):
@@ -189,8 +188,7 @@ def test_a_gamepad_is_read_as_on_the_robot(
     hold(browser, [0, 0, 0, 0], stop)
     plant.wait(lambda: plant.value("sim.state") == 3)
     browser.do("run", script="window.pad = null")
-    browser.do("click", role="button", name="Reset")
-    plant.wait(lambda: plant.value("sim.state") == 1)
+    reset(browser, plant)
     assert browser.do("run", script=CHOICE % "page") == "page"
 
 
@@ -222,8 +220,7 @@ def test_stop_from_every_view_by_key_and_gamepad(browser, url, plant, how):
         browser.do("press", key=how)
     plant.wait(lambda: plant.value("sim.state") == 3)
     browser.do("run", script="window.pad = null")
-    browser.do("click", role="button", name="Reset")
-    plant.wait(lambda: plant.value("sim.state") == 1)
+    reset(browser, plant)
 
 
 def test_a_controller_drives_after_a_stop_by_start_alone(browser, url, plant, daemon):
@@ -257,8 +254,7 @@ def test_a_socket_that_does_not_answer_does_not_keep_stop(browser, url, plant):
     browser.do("mute")  # what is sent over the socket goes nowhere
     browser.do("click", role="button", name="Stop emergency")
     plant.wait(lambda: plant.value("sim.state") == 3)
-    browser.do("click", role="button", name="Reset")
-    plant.wait(lambda: plant.value("sim.state") == 1)
+    reset(browser, plant)
 
 
 def test_a_second_browser_asks_before_it_takes_control(driving, url, plant):

@@ -8,10 +8,9 @@ import time
 
 import pytest
 
-from tests.page.rig import page_process
+from tests.page.rig import SAFE, page_process, reset
 from tests.page.test_security import visitor  # noqa: F401 - a fixture
 
-RUNNING, SAFE = 1, 3
 ALARM = ".alarm p"
 
 
@@ -30,9 +29,7 @@ def driver(browser, url, plant):
     browser.do("take")
     yield browser
     plant.wait(lambda: plant.value("sim.state") == SAFE)
-    browser.do("wait", selector=".banner button", text="Reset")
-    browser.do("click", role="button", name="Reset")
-    plant.wait(lambda: plant.value("sim.state") == RUNNING)
+    reset(browser, plant)
 
 
 @pytest.mark.page

@@ -2,6 +2,8 @@
 
 import pytest
 
+from tests.page.rig import RUNNING, SAFE, reset
+
 pytestmark = pytest.mark.page
 PAD = """window.pad = {
   connected: true, index: 0, id: "pad", axes: [0, %s],
@@ -22,7 +24,6 @@ FOCUS = """[...document.querySelectorAll("main input, main select, main textarea
   .find((field) => field.checkVisibility() && !field.disabled
     && field.tagName + field.type === "%s").focus()"""
 VIEWS = ("Drive", "Watch", "Signals", "Time", "Diagnosis", "Tune")
-RUNNING, SAFE = 1, 3
 
 
 @pytest.fixture
@@ -185,9 +186,3 @@ def test_arrows_that_drive_go_on_to_drive_in_a_list(driver, plant):
     for key in ("ArrowUp", "ArrowLeft"):
         driver.do("up", key=key)
     plant.wait(lambda: plant.command() == 0.0)
-
-
-def reset(browser, plant):
-    browser.do("wait", selector=".banner button", text="Reset")
-    browser.do("click", role="button", name="Reset")
-    plant.wait(lambda: plant.value("sim.state") == RUNNING)
