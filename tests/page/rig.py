@@ -30,6 +30,7 @@ SEEN = (
 )
 DEADMAN_MS = 300
 ANSWER_S = 300.0
+PRESSES = 10
 KEPT = 15_000
 """Frames that are looked at: somewhat fewer than the ring of the daemon holds."""
 
@@ -88,11 +89,13 @@ def reset(browser, plant):
 
     On a slow computer the page sends a Stop twice, and the second may come after the first Reset.
     """
-    while plant.value("sim.state") != RUNNING:
+    for _ in range(PRESSES):
         browser.do("wait", selector=".banner button", text="Reset")
         browser.do("click", role="button", name="Reset")
         with contextlib.suppress(AssertionError):
             plant.wait(lambda: plant.value("sim.state") == RUNNING, timeout_s=10.0)
+            return
+    raise AssertionError(f"Reset was pressed {PRESSES} times: {plant.seen()}")
 
 
 async def restart(url):
