@@ -24,6 +24,7 @@ from hilserver.monitoring.health_request import (
     RefusedRequestError,
     parse_request,
 )
+from hilserver.program.event_loop import stop_listening
 from hilserver.signals import State
 from hilserver.tasks import SupervisedTask, Supervisor
 from hilserver.time_limit import time_limit
@@ -179,7 +180,7 @@ class HttpServer:
         """Stop listening and end all connections."""
         if self._server is None:
             return
-        self._server.close()
+        await stop_listening(self._server)
         for job in tuple(self._open):
             await job.end()
         await self._server.wait_closed()

@@ -12,6 +12,7 @@ import uvloop
 from hilserver.program.ending import ENDING, end_was_asked, hang_up_waits
 
 MOST_HELD_BYTES = 131_072
+TURNS_TO_CALL_BACK = 3
 
 T = TypeVar("T")
 
@@ -20,6 +21,20 @@ def run(main: Coroutine[Any, Any, T]) -> T:
     """Run `main` in an event loop of its own; return what it returns."""
     with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
         return runner.run(main)
+
+
+async def stop_listening(server: asyncio.Server) -> None:
+    """Close a server once every connection that it has accepted has come to its callback.
+
+    asyncio accepts in one turn of its loop, makes the transport in the next one and calls back in
+    the one after. A server that closes in between drops the connection and leaves its socket open.
+    """
+    loop = asyncio.get_running_loop()
+    for listener in server.sockets:
+        loop.remove_reader(listener.fileno())  # no more from now on
+    for _ in range(TURNS_TO_CALL_BACK):
+        await asyncio.sleep(0)
+    server.close()
 
 
 def end_event() -> asyncio.Event:

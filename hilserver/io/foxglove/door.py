@@ -18,6 +18,7 @@ import structlog
 
 from hilserver.io.places import KeptPlace, PlaceKeeper
 from hilserver.program import event_loop
+from hilserver.program.event_loop import stop_listening
 from hilserver.tasks import SupervisedTask, Supervisor, first_of
 from hilserver.time_limit import time_limit
 
@@ -81,7 +82,7 @@ class ViewerDoor:
     async def close(self) -> None:
         """Accept no more viewers, and end all connections."""
         if self._server is not None:
-            self._server.close()
+            await stop_listening(self._server)
         for job in tuple(self._open):
             await job.end()
 

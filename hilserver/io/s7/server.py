@@ -13,6 +13,7 @@ from hilserver.io.places import KeptPlace, PlaceKeeper, PlaceUse
 from hilserver.io.s7 import wire
 from hilserver.io.s7.blocks import DataBlock, RefusedItemError
 from hilserver.io.s7.wire import Code, Function, S7Message, WireError
+from hilserver.program.event_loop import stop_listening
 from hilserver.tasks import SupervisedTask, Supervisor
 from hilserver.time_limit import time_limit
 
@@ -191,7 +192,7 @@ class Server:
     async def stop(self) -> None:
         """Close all connections and stop listening."""
         if self._server is not None:
-            self._server.close()
+            await stop_listening(self._server)
         for job in tuple(self.clients):
             await job.end()
 
