@@ -62,6 +62,7 @@ class Life:
         self.recorder: Recorder | None = None
         self.disk.on_power_loss = self._note_safe
         self._safe = 0  # frames of the recording that survive the loss of power
+        self._saved: set[str] = set()  # snapshots that do
         put_under(self.disk)
         town.daemon.core.snapshots._folder = folder / SNAPSHOTS
         self.ledger = Ledger()
@@ -118,9 +119,17 @@ class Life:
             recording = folder / RECORDING
             if recording.exists() and (where := difference(recording, safe)):
                 found.append(f"the replay of {recording} differs: {where}")
+        kept = {path.name for path in (disk.after / SNAPSHOTS).glob("*.npz")}
+        gone = sorted(self._saved - kept)
+        found += [f"{name} was saved, and lost with the power" for name in gone]
         found += [f"{path} is left" for path in disk.folder.rglob("*.part")]
 
     def _note_safe(self) -> None:
+        self._saved = {
+            f"{act.argument}.npz"
+            for act in self.ledger.acts
+            if act.name == "SaveSnapshot" and act.is_accepted
+        }
         if self.recorder is not None:
             self._safe = self.recorder._writing.safe
 
