@@ -21,7 +21,7 @@ from tests.hours.loop import NS, run_in
 from tests.hours.recording import damaged, difference, recorder_of
 from tests.hours.town import Town
 from tests.hours.users import LOST, Browser, Controller, Program, Terminal, User
-from tests.hours.watchers import Engineer, Watcher
+from tests.hours.watchers import Engineer, Stranger, Watcher
 
 LOOK_S = 1.0
 RECORDED_EVERY = 5  # seeds
@@ -31,6 +31,7 @@ STALLS_S = (0.005, 0.05, 0.3, 0.8)
 HOLDS_S = (0.05, 0.4)
 KINDS = {
     "program": Program, "terminal": Terminal, "browser": Browser, "engineer": Engineer,
+    "stranger": Stranger,
 }  # fmt: skip
 
 
@@ -114,7 +115,10 @@ class Life:
             except FailedError as error:
                 if not disk.was_in_trouble:
                     found.append(str(error))
-        for folder, safe in ((disk.folder, 1), (disk.after, self._safe)):
+        # On a full disk even a first chunk may have been given up for the index.
+        has_failed = self.recorder is not None and self.recorder._writing.error
+        least = 0 if has_failed else 1
+        for folder, safe in ((disk.folder, least), (disk.after, self._safe)):
             found += damaged(folder / SNAPSHOTS)
             recording = folder / RECORDING
             if recording.exists() and (where := difference(recording, safe)):

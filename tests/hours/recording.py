@@ -83,6 +83,8 @@ async def _difference(path: Path, safe: int) -> str:
     log = read_log(path)
     if len(log.t_s) < safe:
         return f"{len(log.t_s)} frames are left of {safe}"
+    if not len(log.t_s):
+        return ""
     assembly = assembly_of(log, None)
     period_ns = assembly.base_period_ns
     async with Engine(assembly) as engine:
