@@ -121,7 +121,10 @@ class Life:
         for folder, safe in ((disk.folder, least), (disk.after, self._safe)):
             found += damaged(folder / SNAPSHOTS)
             recording = folder / RECORDING
-            if recording.exists() and (where := difference(recording, safe)):
+            if not recording.exists():
+                continue
+            lost_power = folder == disk.after
+            if where := difference(recording, safe, lost_power=lost_power):
                 found.append(f"the replay of {recording} differs: {where}")
         kept = {path.name for path in (disk.after / SNAPSHOTS).glob("*.npz")}
         gone = sorted(self._saved - kept)

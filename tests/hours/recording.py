@@ -68,15 +68,16 @@ def damaged(snapshots: Path) -> list[str]:
     return found
 
 
-def difference(path: Path, safe: int = 1) -> str:
+def difference(path: Path, safe: int, *, lost_power: bool) -> str:
     """Replay a recording; return where its outputs differ, empty if nowhere.
 
-    `safe`: so many frames the disk had for good; without any, there may be nothing to replay.
+    `safe`: so many frames the disk had for good; without any, there may be nothing to replay, and
+    after a loss of power not even a readable file.
     """
     try:
         return asyncio.run(_difference(path, safe))
     except LogError as error:
-        return str(error) if safe else ""
+        return "" if lost_power and not safe else str(error)
 
 
 async def _difference(path: Path, safe: int) -> str:
