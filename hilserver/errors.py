@@ -39,9 +39,13 @@ class ConfigError(UserError):
     exit_code = EXIT_BAD_CONFIGURATION
 
 
+NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+"""Errors that go away where there is more room for a file."""
+
+
 def reason(error: OSError) -> str:
     """Return why a file cannot be written, in a few words."""
-    if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+    if error.errno in NO_SPACE:
         return "no space left; free some"
     said = (error.strerror or str(error)).lower()
     return f"{said}; name a file" if error.errno == errno.EISDIR else said

@@ -132,10 +132,15 @@ class Announcer:
         """Say what is not as it should be."""
         self.say(f"hilserver: {text}", text, level="warning")
 
-    def page(self, url: str) -> None:
-        """Say where the operator page is."""
+    def page(self, url: str, moved: str) -> None:
+        """Say where the operator page is, and why it `moved` from its port, if it did."""
         self.page_url = url
-        self.say(f"operator page: {url}", "operator page", url=url)
+        if moved:
+            self.say(
+                f"operator page: {url} ({moved})", "operator page", url=url, why=moved
+            )
+        else:
+            self.say(f"operator page: {url}", "operator page", url=url)
 
     def running(self, daemon: "Daemon") -> None:
         """Say that the robot runs, and where everything is."""

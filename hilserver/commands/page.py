@@ -13,7 +13,7 @@ import sys
 
 from hilserver.commands.options import add_config, add_patch
 from hilserver.errors import EXIT_DONE
-from hilserver.io.page.listening import listen, url_of
+from hilserver.io.page.listening import listen, moved, url_of
 from hilserver.io.page.server import PageServer
 from hilserver.io.page.setup import Setup
 from hilserver.program import event_loop
@@ -43,7 +43,9 @@ def run(args: argparse.Namespace) -> int:
         url = url_of(listener, page.host, is_encrypted=bool(page.certificate))
         logging.basicConfig(format="%(message)s")
         logging.getLogger("hilserver").setLevel(logging.INFO)
-        print(f"operator page: {url}", file=sys.stderr, flush=True)
+        why = moved(listener, page.port)
+        where = f"operator page: {url} ({why})" if why else f"operator page: {url}"
+        print(where, file=sys.stderr, flush=True)
     os.nice(NICENESS)
     server = PageServer(setup)
     give_back_code()

@@ -24,6 +24,7 @@ from hilserver.commands.page_setup import page_setup
 from hilserver.commands.patching import assembled
 from hilserver.commands.validation import validate
 from hilserver.config.page import PageConfig
+from hilserver.core.events import Event, EventKind
 from hilserver.daemon.assembly import Assembly
 from hilserver.daemon.connections import LINKS
 from hilserver.daemon.daemon import Daemon
@@ -31,7 +32,7 @@ from hilserver.daemon.reload import Reloader
 from hilserver.errors import EXIT_DONE, FailedError
 from hilserver.faults.scenario import Play, load_scenario
 from hilserver.io.page.launch import PageBeside
-from hilserver.io.page.listening import listen, url_of
+from hilserver.io.page.listening import listen, moved, url_of
 from hilserver.logs.writing import check_suffix
 from hilserver.monitoring.logging_setup import report_repeats, setup_logging
 from hilserver.monitoring.watchdog import Watchdog
@@ -88,7 +89,7 @@ class Run:
         guard: Guard,
     ) -> None:
         self._assembly, self._announcer, self._guard = assembly, announcer, guard
-        self._duration_s, self._play = duration_s, play
+        self._duration_s, self._play, self._page_moved = duration_s, play, ""
         logging = assembly.config.logging
         self._limiter = setup_logging(
             logging.level, logging.format, logging.repeat_window_s, announcer.out
@@ -134,6 +135,9 @@ class Run:
             self._end_when_asked(daemon)
             watchdog = _make_watchdog(daemon)
             self._announcer.running(daemon)
+            if self._page_moved:
+                event = Event(EventKind.STATE, 400, "page", self._page_moved)
+                daemon.events.publish(event)
             status = self._announcer.showing_status(daemon)
             async with watchdog.watching(), self._reloading(daemon, watchdog), status:
                 return await daemon.wait(self._duration_s)
@@ -163,7 +167,8 @@ class Run:
             return
         with listener:
             url = url_of(listener, page.host, is_encrypted=page.tls is not None)
-            self._announcer.page(url)
+            self._page_moved = moved(listener, page.port)
+            self._announcer.page(url, self._page_moved)
             yield listener
 
     def _page(self, daemon: Daemon, listener: socket.socket) -> PageBeside:

@@ -7,8 +7,8 @@ differs, a restore is refused.
 
 import asyncio
 import hashlib
+import io
 import json
-import os
 import re
 import zipfile
 import zlib
@@ -30,7 +30,7 @@ from hilserver.image.layout import (
 )
 from hilserver.image.requests import is_done, post_request
 from hilserver.kernel.adoption import unfit
-from hilserver.program.whole_file import whole
+from hilserver.program.whole_file import write_whole
 
 SCHEMA = "hilserver.core.snapshot/1"
 OF_THE_RUN = ("config_sha256", "patch", "seed", "audit")
@@ -204,10 +204,9 @@ def _short(value: Any) -> str:
 
 def _write(path: Path, state: NDArray[np.int64], meta: dict[str, Any]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole(path) as partial, partial.open("wb") as file:
-        np.savez(file, state=state, meta=np.array(json.dumps(meta)))
-        file.flush()
-        os.fsync(file.fileno())
+    packed = io.BytesIO()
+    np.savez(packed, state=state, meta=np.array(json.dumps(meta)))
+    write_whole(path, packed.getvalue())
 
 
 def read_snapshot(path: Path) -> tuple[NDArray[np.int64], dict[str, Any]]:

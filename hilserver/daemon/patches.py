@@ -16,6 +16,7 @@ from hilserver.errors import ControlRefused
 from hilserver.kernel.fitted import fitted_limits
 from hilserver.parameters import check, named
 from hilserver.plant.errors import PlantError
+from hilserver.program.whole_file import sync_folder
 
 MOST_FILES: Final = 100  # patches in the folder: saving them must not fill the disk
 
@@ -208,6 +209,7 @@ def _write(path: Path, text: str) -> None:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())
+        sync_folder(path.parent)
     except OSError as error:
         path.unlink()  # half a patch is useless and would occupy the name
         raise ControlRefused(f"{path}: cannot be written: {error.strerror}") from None

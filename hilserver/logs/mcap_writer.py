@@ -22,6 +22,7 @@ from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from hilserver import __version__
+from hilserver.errors import NO_SPACE
 from hilserver.logs import changes as sparse
 from hilserver.logs.log import Change, RecordedState
 from hilserver.logs.message import (
@@ -200,7 +201,8 @@ class McapWriter:
     def close(self) -> None:
         """Write the last chunk, the index and the end; close the file in any case.
 
-        On a full disk, up to a second of the recording is dropped to make room for the index.
+        On a full disk, up to a second of the recording is dropped to make room for the index; no
+        other error of a disk goes away by that.
         """
         try:
             self.flush()
@@ -209,8 +211,9 @@ class McapWriter:
                 try:
                     self._file.append(index)
                     return
-                except OSError:
-                    if not left or not self._summary.chunks:
+                except OSError as error:
+                    has_space = error.errno not in NO_SPACE
+                    if has_space or not left or not self._summary.chunks:
                         raise
                     self._file.cut(self._summary.drop_last())
         finally:

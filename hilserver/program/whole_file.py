@@ -85,8 +85,24 @@ def writing(path: Path, suffix: str = PARTIAL) -> Iterator[Path]:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file, and flush it to disk before it gets its name."""
+    """Write a file that the disk holds, under its name, once this returns."""
     with whole(path) as partial, partial.open("wb") as file:
         file.write(content)
         file.flush()
         os.fsync(file.fileno())
+    sync_folder(path.resolve().parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Let the disk hold the names in a folder: after a loss of power, a new one is there."""
+    try:
+        fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    except PermissionError:  # one may be allowed to write there, but not to look
+        return
+    try:
+        os.fsync(fd)
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # a disk that cannot do this for folders
+            raise
+    finally:
+        os.close(fd)

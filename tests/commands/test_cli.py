@@ -359,6 +359,23 @@ def test_a_wrong_duration_is_named(here, duration):
     assert f"argument --duration: {duration} is not a duration in seconds" in said
 
 
+def test_a_page_on_another_port_than_its_own_says_why_and_is_an_event(tmp_path):
+    path = write_config(tmp_path)
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        page = f"page: {{port: {port}}}"
+        path.write_text(path.read_text().replace("page: {enabled: false}", page))
+        run = hilserver("run", "-c", str(path), "--duration", "0.2", cwd=tmp_path)
+    lines = [json.loads(line) for line in run.stderr.splitlines()]
+    [where] = [line for line in lines if line["event"] == "operator page"]
+    events = [line for line in lines if where["why"] in line["event"]]
+    assert f"port {port} (page.port) is in use" in where["why"]
+    assert f":{port}/" not in where["url"]
+    assert len(events) == 1
+
+
 def test_a_port_in_use_is_one_sentence_and_exit_1(tmp_path):
     path = write_config(tmp_path)
     with socket.socket() as taken:

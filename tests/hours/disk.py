@@ -13,6 +13,7 @@ import random
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from stat import S_ISDIR
 from typing import Any
 
 _real: dict[str, Callable[..., Any]] = {
@@ -40,7 +41,8 @@ class Disk:
         self._last_call = chance.choice(list(CALLS))
         self._calls_left = chance.randint(1, CALLS[self._last_call])
         self._synced: dict[int, int] = {}  # by inode: bytes that are safe
-        self._before: dict[Path, list[Path]] = {}  # by name: what it stood for, hidden
+        # by name: what it stood for, hidden, since its folder was synced; None: nothing
+        self._before: dict[Path, list[Path | None]] = {}
 
     def holds(self, path: object) -> bool:
         """Whether a file is on this disk."""
@@ -68,13 +70,17 @@ class Disk:
         raise OSError(number, os.strerror(number))
 
     def sync(self, fd: int) -> None:
-        """Note that everything in a file is safe now."""
+        """Note that everything in a file is safe now, or every name in a folder."""
         self._begin("sync")
         if self.trouble == BROKEN and self.chance.random() < 0.5:
             self.was_in_trouble = True
             raise OSError(errno.EIO, os.strerror(errno.EIO))
         stat = os.fstat(fd)
         self._synced[stat.st_ino] = stat.st_size
+        if S_ISDIR(stat.st_mode):
+            folder = Path(f"/proc/self/fd/{fd}").readlink()
+            for path in folder.iterdir():
+                self._before.pop(path, None)
 
     def cut(self, fd: int, size: int) -> None:
         """Note that what a file had beyond `size` is no longer there."""
@@ -84,12 +90,13 @@ class Disk:
     def replace(self, source: Path, target: Path) -> None:
         """Give a file another name; whoever had that before may come back."""
         self._begin("replace")
+        old = None
         if target.exists():
             hidden = self.folder / HIDDEN
             hidden.mkdir(exist_ok=True)
             old = hidden / f"{len(list(hidden.iterdir()))}"
             os.link(target, old)
-            self._before.setdefault(target, []).append(old)
+        self._before.setdefault(target, []).append(old)
         _real["replace"](source, target)
 
     def lose_power(self) -> None:
@@ -99,8 +106,10 @@ class Disk:
             name = path.relative_to(self.folder)
             if path.is_dir() or name.parts[0] == HIDDEN:
                 continue
-            # Nobody has handed the folder to the disk: its newest names may be missing.
-            content = self.chance.choice([path, *self._before.get(path, [])[-1:]])
+            # What has got its name since the folder was handed to the disk may be missing.
+            content = self.chance.choice([path, *self._before.get(path, [])])
+            if content is None:
+                continue
             stat = content.stat()
             safe = min(self._synced.get(stat.st_ino, 0), stat.st_size)
             size = self.chance.randint(safe, stat.st_size)

@@ -21,7 +21,7 @@ from tests.hours.loop import NS, run_in
 from tests.hours.recording import damaged, difference, recorder_of
 from tests.hours.town import Town
 from tests.hours.users import LOST, Browser, Controller, Program, Terminal, User
-from tests.hours.watchers import Engineer, Watcher
+from tests.hours.watchers import Engineer, Stranger, Watcher
 
 LOOK_S = 1.0
 RECORDED_EVERY = 5  # seeds
@@ -31,6 +31,7 @@ STALLS_S = (0.005, 0.05, 0.3, 0.8)
 HOLDS_S = (0.05, 0.4)
 KINDS = {
     "program": Program, "terminal": Terminal, "browser": Browser, "engineer": Engineer,
+    "stranger": Stranger,
 }  # fmt: skip
 
 
@@ -62,6 +63,7 @@ class Life:
         self.recorder: Recorder | None = None
         self.disk.on_power_loss = self._note_safe
         self._safe = 0  # frames of the recording that survive the loss of power
+        self._saved: set[str] = set()  # snapshots that do
         put_under(self.disk)
         town.daemon.core.snapshots._folder = folder / SNAPSHOTS
         self.ledger = Ledger()
@@ -113,14 +115,28 @@ class Life:
             except FailedError as error:
                 if not disk.was_in_trouble:
                     found.append(str(error))
-        for folder, safe in ((disk.folder, 1), (disk.after, self._safe)):
+        # On a full disk even a first chunk may have been given up for the index.
+        has_failed = self.recorder is not None and self.recorder._writing.error
+        least = 0 if has_failed else 1
+        for folder, safe in ((disk.folder, least), (disk.after, self._safe)):
             found += damaged(folder / SNAPSHOTS)
             recording = folder / RECORDING
-            if recording.exists() and (where := difference(recording, safe)):
+            if not recording.exists():
+                continue
+            lost_power = folder == disk.after
+            if where := difference(recording, safe, lost_power=lost_power):
                 found.append(f"the replay of {recording} differs: {where}")
+        kept = {path.name for path in (disk.after / SNAPSHOTS).glob("*.npz")}
+        gone = sorted(self._saved - kept)
+        found += [f"{name} was saved, and lost with the power" for name in gone]
         found += [f"{path} is left" for path in disk.folder.rglob("*.part")]
 
     def _note_safe(self) -> None:
+        self._saved = {
+            f"{act.argument}.npz"
+            for act in self.ledger.acts
+            if act.name == "SaveSnapshot" and act.is_accepted
+        }
         if self.recorder is not None:
             self._safe = self.recorder._writing.safe
 

@@ -177,13 +177,20 @@ def _dead_man_never_ends(town: Any) -> None:
 
 def _snapshots_in_place(_town: Any) -> None:
     """A snapshot has its name while it is still being written."""
-    from hilserver.core import snapshot
+    from hilserver.program import whole_file
 
     @contextlib.contextmanager
     def whole(path: Path) -> Iterator[Path]:
         yield path
 
-    snapshot.whole = whole
+    whole_file.whole = whole
+
+
+def _names_left_to_chance(_town: Any) -> None:
+    """A snapshot is accepted as saved before the disk holds its name."""
+    from hilserver.program import whole_file
+
+    whole_file.sync_folder = lambda _folder: None
 
 
 def _half_a_record(_town: Any) -> None:
@@ -206,6 +213,7 @@ MUTANTS = {
     "dead-man never ends": _dead_man_never_ends,
     "peer link dies": _peer_link_dies,
     "snapshots in place": _snapshots_in_place,
+    "names left to chance": _names_left_to_chance,
     "half a record": _half_a_record,
 }
 

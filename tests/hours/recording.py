@@ -1,6 +1,7 @@
 """The files of the town: recordings and snapshots, and whether they hold what they have to."""
 
 import asyncio
+import errno
 from pathlib import Path
 
 import hilserver.io.recorder.recorder
@@ -8,7 +9,9 @@ from hilserver.core.snapshot import read_snapshot
 from hilserver.errors import ControlRefused, LogError
 from hilserver.io.recorder.recorder import Recorder
 from hilserver.io.recorder.series import Settings
+from hilserver.io.recorder.source import BATCH_FRAMES
 from hilserver.io.recorder.write_behind import Item, WriteBehind
+from hilserver.logs.mcap_writer import CHUNKS_FOR_INDEX
 from hilserver.logs.reading import read_log
 from hilserver.replay import Comparison, Engine, assembly_of, plan_exact
 
@@ -30,6 +33,9 @@ class WriteAtOnce(WriteBehind):
             self._check(self._writer)
         except Exception as error:  # noqa: BLE001 - as in the thread
             self.error = error
+            if getattr(error, "errno", None) == errno.ENOSPC:
+                # so much of what was safe it gives up for the index of the file
+                self.safe = max(self.safe - CHUNKS_FOR_INDEX * BATCH_FRAMES, 0)
             self._close_after_error()
         return True
 
@@ -62,21 +68,24 @@ def damaged(snapshots: Path) -> list[str]:
     return found
 
 
-def difference(path: Path, safe: int = 1) -> str:
+def difference(path: Path, safe: int, *, lost_power: bool) -> str:
     """Replay a recording; return where its outputs differ, empty if nowhere.
 
-    `safe`: so many frames the disk had for good; without any, there may be nothing to replay.
+    `safe`: so many frames the disk had for good; without any, there may be nothing to replay, and
+    after a loss of power not even a readable file.
     """
     try:
         return asyncio.run(_difference(path, safe))
     except LogError as error:
-        return str(error) if safe else ""
+        return "" if lost_power and not safe else str(error)
 
 
 async def _difference(path: Path, safe: int) -> str:
     log = read_log(path)
     if len(log.t_s) < safe:
         return f"{len(log.t_s)} frames are left of {safe}"
+    if not len(log.t_s):
+        return ""
     assembly = assembly_of(log, None)
     period_ns = assembly.base_period_ns
     async with Engine(assembly) as engine:

@@ -45,6 +45,17 @@ def test_a_name_stands_for_the_file_before_or_for_the_new_one(disk):
     assert (disk.after / "a").read_bytes() in (b"old", b"newer")
 
 
+def test_a_new_name_is_there_once_its_folder_was_synced(disk):
+    disk.replace(written(disk, "part", b"new", synced=1), disk.folder / "a")
+    is_safe = disk.chance.random() < 0.5
+    if is_safe:
+        fd = os.open(disk.folder, os.O_RDONLY)
+        disk.sync(fd)
+        os.close(fd)
+    disk.lose_power()
+    assert not is_safe or (disk.after / "a").read_bytes() == b"new"
+
+
 def test_short_writes_lose_nothing_and_a_full_disk_takes_a_part(disk):
     disk.trouble = SHORT
     assert written(disk, "a", 9 * b"short").read_bytes() == 9 * b"short"

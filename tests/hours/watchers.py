@@ -9,7 +9,6 @@ from asyncua import ua
 
 from tests.hours.clock import CLOCK
 from tests.hours.loop import NS
-from tests.hours.network import MemoryTransport
 from tests.hours.town import OPCUA_PORT, PUBLISH_MS
 from tests.hours.users import LOST, User
 
@@ -96,7 +95,7 @@ class Engineer(User):
     """Asks for much, leaves things behind, and does not read what it has asked for."""
 
     acts = (
-        (2, "flood"), (2, "hour"), (1, "deaf"), (1, "strangers"), (1, "stop"), (1, "reset"),
+        (2, "flood"), (2, "hour"), (1, "deaf"), (1, "stop"), (1, "reset"),
         (1, "force"), (1, "cut"), (1, "vanish"), (1, "leave"),
     )  # fmt: skip
 
@@ -150,19 +149,6 @@ class Engineer(User):
             await session.close_session(False)
         raise ConnectionError("left")
 
-    async def do_strangers(self) -> None:
-        """Open connections that never say anything."""
-        for _ in range(self.chance.randint(5, 40)):
-            end, _ = await self.town.network.connect(_Silent, "127.0.0.1", OPCUA_PORT)
-            end.label = "stranger"
-            if self.chance.random() < 0.5:
-                end.write(b"HELF\x20\x00\x00\x00"[: self.chance.randint(1, 8)])
-            self._later(end)
-
-    def _later(self, end: MemoryTransport) -> None:
-        if self.chance.random() < 0.3:
-            self.town.network.vanish(end)
-
     async def do_force(self) -> None:
         """Hold an output at a value, which moves nothing; a recording does not hold that."""
         if self.town.is_recorded:
@@ -170,6 +156,27 @@ class Engineer(User):
         await self.act("Force", "battery.voltage_v", 10.0)
         await asyncio.sleep(self.chance.uniform(0.1, 0.5))
         await self.act("Unforce", "battery.voltage_v")
+
+
+class Stranger(User):
+    """Opens connections that never log in, and keeps them: drivers get in all the same."""
+
+    async def live(self) -> None:
+        """Open more and more."""
+        while not self.is_over:
+            for _ in range(self.chance.randint(5, 40)):
+                with contextlib.suppress(OSError):
+                    await self._open()
+            await asyncio.sleep(self.chance.uniform(0.5, 5.0))
+
+    async def _open(self) -> None:
+        network = self.town.network
+        end, _ = await network.connect(_Silent, "127.0.0.1", OPCUA_PORT)
+        end.label = "stranger"
+        if self.chance.random() < 0.5:
+            end.write(b"HELF\x20\x00\x00\x00"[: self.chance.randint(1, 8)])
+        if self.chance.random() < 0.3:
+            network.vanish(end)
 
 
 class _Silent(asyncio.Protocol):

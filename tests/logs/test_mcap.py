@@ -1,5 +1,9 @@
 """MCAP: foreign readers open it, every cut through the file leaves what stood before the cut."""
 
+import contextlib
+import errno
+import os
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -42,6 +46,23 @@ def test_what_was_written_comes_back(tmp_path):
     run = run_of()
     assert {key: log.run[key] for key in run} == run
     assert not log.notices
+
+
+@pytest.mark.parametrize("number", [errno.EIO, errno.ENOSPC])
+def test_only_a_full_disk_gives_up_frames_for_the_index(tmp_path, monkeypatch, number):
+    write, size = os.write, written(tmp_path / "whole.mcap").stat().st_size
+
+    def failing(fd, data):
+        if os.fstat(fd).st_size + len(data) > size - 10:
+            raise OSError(number, os.strerror(number))
+        return write(fd, data)
+
+    monkeypatch.setattr(os, "write", failing)
+    with contextlib.suppress(OSError):
+        written(tmp_path / "run.mcap")
+    dropped = 1 if number == errno.ENOSPC else 0
+    log = read_log(tmp_path / "run.mcap")
+    assert len(log) == (N_CHUNKS - dropped) * CHUNK_FRAMES
 
 
 def test_a_foreign_reader_finds_signals_by_their_names(tmp_path):

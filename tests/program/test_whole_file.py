@@ -37,6 +37,21 @@ def test_an_error_leaves_the_file_of_before_and_nothing_else(tmp_path: Path) -> 
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_the_disk_holds_the_new_name_before_it_is_said_to_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    synced: list[tuple[Path, bool]] = []
+
+    def sync(fd: int) -> None:
+        what = Path(f"/proc/self/fd/{fd}").readlink()
+        synced.append((what, (tmp_path / "report.html").exists()))
+
+    monkeypatch.setattr(os, "fsync", sync)
+    write_whole(tmp_path / "report.html", b"new")
+    assert synced[-1] == (tmp_path, True)
+    assert [has_name for _, has_name in synced] == [False, True]
+
+
 def test_a_device_is_written_to_and_a_link_stays_one(tmp_path: Path) -> None:
     target, link, pipe = tmp_path / "target", tmp_path / "link", tmp_path / "pipe"
     target.write_text("old")

@@ -43,6 +43,14 @@ def listen(host: str, port: int) -> socket.socket:
     raise FailedError(f"page: no port for {host}")
 
 
+def moved(listener: socket.socket, port: int) -> str:
+    """Return why the page does not listen on `port`, the one asked for; empty if it does."""
+    taken = listener.getsockname()[1]
+    if port in (0, taken):
+        return ""
+    return f"port {port} (page.port) is in use by another program, the page has {taken}"
+
+
 def tls_context(certificate: Path, key: Path) -> ssl.SSLContext:
     """Return the TLS context of the page.
 
