@@ -18,6 +18,7 @@ from hilserver.diagnosis.thresholds import (
     IRREGULAR,
     MISSING_IN_BURSTS,
     MISSING_SLOWEST_S,
+    NEARLY_ALL,
     SHORTEST_BURST,
 )
 from hilserver.measured.data import Channel, MeasuredLog
@@ -81,6 +82,18 @@ def missing(channel: Channel, fewest: int) -> float:
         or np.mean(np.abs(steps / period_s - 1.0) < 0.5) < 0.7
     ):
         return 0.0
+
+    # Among many gaps few means of steps have none, so this period is too long. Most steps still
+    # round to the number of periods that they last, and with a better period the others do, too.
+    exact_s = period_s
+    for _ in range(2):
+        exact_s = float(steps.sum() / np.rint(steps / exact_s).sum())
+
+    # A source without a clock has steps of any length, and its long ones are no gaps.
+    periods = steps / exact_s
+    if np.mean(np.abs(periods - np.rint(periods)) < 0.25) > NEARLY_ALL:
+        period_s = exact_s
+
     lost = np.maximum(np.rint(steps / period_s) - 1, 0)
     lost[lost < fewest] = 0
     if (lost > 0).sum() < FEWEST_EVENTS:

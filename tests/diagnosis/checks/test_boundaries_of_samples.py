@@ -163,6 +163,21 @@ def missing(share):
     )
 
 
+@pytest.mark.parametrize("share", [0.09, 0.18, 0.27])
+def test_the_share_of_missing_rows_is_right_however_many_are_missing(share):
+    rng = np.random.default_rng(1)
+    t = ROW_S * (np.arange(6000) + rng.uniform(-0.05, 0.05, 6000))
+    t = t[rng.random(6000) > share]
+    rows = Channel(t, t, np.zeros(len(t), dtype=np.int64))
+    assert dropouts.missing(rows, 1) == pytest.approx(share, rel=0.1)
+
+
+def test_a_source_without_a_clock_misses_nothing():
+    t = np.cumsum(np.random.default_rng(1).gamma(9.0, ROW_S / 9.0, 6000))
+    rows = Channel(t, t, np.zeros(len(t), dtype=np.int64))
+    assert dropouts.missing(rows, 1) < at.IRREGULAR
+
+
 @pytest.mark.parametrize(
     ("decides", "holds", "fails"),
     [
