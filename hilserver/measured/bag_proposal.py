@@ -81,28 +81,26 @@ def refuse_unmapped(path: Path) -> NoReturn:
     """Raise ForeignLog: a foreign bag needs a mapping; one is named or proposed."""
     bags = read_messages(path, set())
     topics = {name: topic for bag in bags for name, topic in bag.topics.items()}
-    fitting = next((name for name in builtin_mappings() if _fits(name, topics)), None)
-    offer = (
-        f"{fitting} with --mapping, which fits" if fitting else "a file with --mapping"
-    )
-    known = ", ".join(
-        f"{name} ({topic.type})" for name, topic in sorted(topics.items())
-    )
+    for name in builtin_mappings():
+        channels = load_mapping(name).channels.values()
+        if all(channel.optional or channel.topic in topics for channel in channels):
+            offer, proposal = f"{name} with --mapping, which fits", ""
+            break
+    else:
+        offer, proposal = "a file with --mapping", _proposal(path, topics)
+    listed = [f"{name} ({topic.type})" for name, topic in sorted(topics.items())]
     raise ForeignLog(
-        f"{path}: a bag needs a mapping of its topics; give {offer}; its topics are {known:.600}",
-        "" if fitting else _proposal(path, topics),
+        f"{path}: a bag needs a mapping of its topics; give {offer}; its topics are"
+        f" {', '.join(listed):.600}",
+        proposal,
     )
-
-
-def _fits(mapping: str, topics: Mapping[str, Topic]) -> bool:
-    channels = load_mapping(mapping).channels.values()
-    return all(channel.optional or channel.topic in topics for channel in channels)
 
 
 def _proposal(path: Path, topics: Mapping[str, Topic]) -> str:
     """Return the text of a mapping file; empty without a guess."""
     kinds = {name: full_type(topic.type) for name, topic in topics.items()}
-    wanted = {name for name, kind in kinds.items() if _may_be_ours(kind)}
+    ours = {*_MEASURED, *_COMMANDED, _JOINTS}
+    wanted = {n for n, kind in kinds.items() if kind in ours or not _OF_ROS.match(kind)}
     bags: list[Bag] = []
     for most in _READ:
         try:
@@ -119,15 +117,6 @@ def _proposal(path: Path, topics: Mapping[str, Topic]) -> str:
     types = list(kinds.values())
     refuse_other_machine(str(path), names, types, has_wheels=has_wheels(found))
     return text(choose(found).lines)
-
-
-def _may_be_ours(kind: str) -> bool:
-    return (
-        kind in _MEASURED
-        or kind in _COMMANDED
-        or kind == _JOINTS
-        or not _OF_ROS.match(kind)
-    )
 
 
 def _candidates(
@@ -184,19 +173,16 @@ def _numbers(message: Any, place: str = "") -> Iterator[str]:
         if hasattr(value, "w"):
             yield f"{at}.yaw"
         elif isinstance(value, list | np.ndarray):
-            names = names_of(message, value) or range(min(len(value), _LONGEST + 1))
-            for label, item in (
-                zip(names, value, strict=False) if len(value) <= _LONGEST else ()
-            ):
-                yield from _elements(item, f"{at}[{label}]")
+            if len(value) > _LONGEST:
+                continue
+            names = names_of(message, value) or range(len(value))
+            for label, item in zip(names, value, strict=False):
+                element = f"{at}[{label}]"
+                if items_of(item):
+                    yield from _numbers(item, f"{element}.")
+                elif not isinstance(item, str):
+                    yield element
         elif items_of(value):
             yield from _numbers(value, f"{at}.")
         elif isinstance(value, int | float):
             yield at
-
-
-def _elements(item: Any, at: str) -> Iterator[str]:
-    if items_of(item):
-        yield from _numbers(item, f"{at}.")
-    elif not isinstance(item, str):
-        yield at

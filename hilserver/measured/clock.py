@@ -1,7 +1,6 @@
 """Segments of a log on the plant's ticks."""
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -39,23 +38,22 @@ class Segments:
 
     def times(self, index: int) -> Array:
         """Return the times of the rows of a segment."""
-        n = int(self.first[index + 1] - self.first[index])
-        return np.asarray(
-            self.start_s[index] - self.lead_s + self.period_s * np.arange(n)
-        )
+        first, end = self.first[index : index + 2]
+        begin_s = self.start_s[index] - self.lead_s
+        return np.asarray(begin_s + self.period_s * np.arange(end - first))
 
     def locate(self, span: Indices, t_s: Array) -> tuple[Indices, Array]:
         """Return the segment of each sample (-1: none) and its row as a fraction."""
         segment = np.full(len(t_s), -1, dtype=np.int64)
         at = np.zeros(len(t_s))
-        for i in range(len(self)):
-            low, high = np.searchsorted(span, [self.span[i], self.span[i] + 1])
-            t = t_s[low:high]
-            a, b = low + np.searchsorted(
-                t, [self.start_s[i] - 1e-9, self.end_s[i] - 1e-9]
-            )
+        for i, (own, start_s, end_s) in enumerate(
+            zip(self.span, self.start_s, self.end_s, strict=True)
+        ):
+            low, high = np.searchsorted(span, [own, own + 1])
+            edges_s = [start_s - 1e-9, end_s - 1e-9]
+            a, b = low + np.searchsorted(t_s[low:high], edges_s)
             segment[a:b] = i
-            since_s = t_s[a:b] - self.start_s[i] + self.lead_s
+            since_s = t_s[a:b] - start_s + self.lead_s
             at[a:b] = self.first[i] + since_s / self.period_s
         return segment, at
 
@@ -65,29 +63,27 @@ def cut(
 ) -> Segments:
     """Cut the spans of a log into segments of equal length, at most `longest_s`."""
     span: list[int] = []
-    edges: list[tuple[float, float]] = []
+    starts_s: list[float] = []
+    ends_s: list[float] = []
     for i, s in enumerate(log.spans):
-        length = s.end_s - s.start_s
-        if length < SHORTEST_SEGMENT_S:
+        length_s = s.end_s - s.start_s
+        if length_s < SHORTEST_SEGMENT_S:
             continue
-        n = 1 if longest_s is None else max(1, int(np.ceil(length / longest_s - 1e-9)))
-        since = length / n * np.arange(n + 1)
+        n = 1
+        if longest_s is not None:
+            n = max(1, int(np.ceil(length_s / longest_s - 1e-9)))
+        since_s = length_s / n * np.arange(n)
         if log.on_ticks:  # so that samples lie on rows of the dense arrays
-            since = period_s * np.rint(since / period_s)
+            since_s = period_s * np.rint(since_s / period_s)
+        begins_s = (s.start_s + since_s).tolist()
         span += [i] * n
-        edges += pairwise([*(s.start_s + since[:-1]).tolist(), s.end_s + period_s])
-    start, end_s = (
-        (np.array(e) for e in zip(*edges, strict=True)) if edges else ([], [])
-    )
+        starts_s += begins_s
+        ends_s += [*begins_s[1:], s.end_s + period_s]
+
+    start_s, end_s = np.array(starts_s), np.array(ends_s)
     lead_s = period_s * round(lead_s / period_s)
-    length = np.asarray(end_s) - np.asarray(start) + lead_s
+    length = end_s - start_s + lead_s
     ticks = np.ceil(length / period_s).astype(np.int64) + 2
-    first = np.concatenate([[0], np.cumsum(ticks)]).astype(np.int64)
-    return Segments(
-        np.array(span, dtype=np.int64),
-        np.asarray(start),
-        np.asarray(end_s),
-        first,
-        period_s,
-        lead_s,
-    )
+    first = np.append(0, np.cumsum(ticks)).astype(np.int64)
+    of_span = np.array(span, dtype=np.int64)
+    return Segments(of_span, start_s, end_s, first, period_s, lead_s)

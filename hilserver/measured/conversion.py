@@ -30,9 +30,8 @@ def read_any(path: Path, mapping: str | None = None) -> Log:
             refuse_unmapped(path)
         return read_log(path, known_columns())
     except OSError as error:
-        raise LogError(
-            f"{path}: {(error.strerror or 'cannot be read').lower()}"
-        ) from None
+        reason = error.strerror or "cannot be read"
+        raise LogError(f"{path}: {reason.lower()}") from None
 
 
 def _one_table(recording: Recording) -> Log:

@@ -140,9 +140,9 @@ class Field:
                 lambda: f"the quaternion in field '{self.path}' has norm {norm:.3g}",
                 is_mistake=False,
             )
-        return math.atan2(
-            2.0 * (q.w * q.z + q.x * q.y), norm**2 - 2.0 * (q.y**2 + q.z**2)
-        )
+        sine = 2.0 * (q.w * q.z + q.x * q.y)
+        cosine = norm**2 - 2.0 * (q.y**2 + q.z**2)
+        return math.atan2(sine, cosine)
 
 
 def items_of(message: Any) -> list[tuple[str, Any]]:
@@ -160,12 +160,9 @@ def names_of(holder: Any, items: Any) -> list[str]:
             if all(isinstance(name, str) for name in names):
                 return [str(name) for name in names]
     for _, other in items_of(holder):
-        if (
-            isinstance(other, list)
-            and other
-            and all(isinstance(name, str) for name in other)
-        ):
-            return other
+        is_list = isinstance(other, list) and len(other) > 0
+        if is_list and all(isinstance(name, str) for name in other):
+            return list(other)
     return []
 
 

@@ -50,14 +50,10 @@ class Sampling:
         robot = every(config.plant.slice)
         nav = every(sensors.nav.slice)
         samples = max(round(1e3 / (sensors.nav.rate_hz * nav * base_ms)), 1)
-        ticks = dict.fromkeys(("wheel", "pose", "velocity"), robot) | {
-            "nav": nav * samples
-        }
-        ticks |= {
-            name: every(getattr(sensors, name).slice)
-            for name in ("imu", "battery", "tof")
-        }
-        ticks |= dict.fromkeys(("shield", "lights"), ticks["battery"])
+        ticks = {"wheel": robot, "pose": robot, "velocity": robot, "nav": nav * samples}
+        for name in ("imu", "battery", "tof"):
+            ticks[name] = every(getattr(sensors, name).slice)
+        ticks["shield"] = ticks["lights"] = ticks["battery"]
         return cls(base_ms * 1e-3, ticks)
 
     def period(self, name: str) -> int:
@@ -94,7 +90,8 @@ def own_sampling(log: Log) -> Sampling | None:
     """Return the sampling of the configuration in a recording; None without one."""
     try:
         data = configuration_of(log.run)
-        return Sampling.of(Config.model_validate({key: data[key] for key in SECTIONS}))
+        sections = {key: data[key] for key in SECTIONS}
+        return Sampling.of(Config.model_validate(sections))
     except (ValueError, KeyError):
         return None
 
@@ -108,22 +105,32 @@ def frames_of(log: Log, sampling: Sampling | None) -> Frames:
         Of the configuration of its run; None if every row counts as a sample.
     """
     rows = {name: _usable(log, name) for name in log.columns}
-    tick = _ticks(log, sampling)
+    tick: Indices | None = None
+    if TICK in log.columns and np.isfinite(log.columns[TICK]).all():
+        tick = log.columns[TICK].astype(np.int64)
+    elif sampling is not None:
+        tick = np.rint(log.t_s / sampling.base_period_s).astype(np.int64)
     enough = np.ones(len(log), dtype=np.bool_) if tick is None else _enough(tick)
     taken = {} if sampling is None else _taken(rows, log.t_s, sampling)
     segment = log.segment.copy()
     if POSE_REQUEST in rows:
-        segment += np.cumsum(
-            np.diff(rows[POSE_REQUEST], prepend=rows[POSE_REQUEST][:1]) != 0
-        )
-    measured = _measured(rows, _rows(log) if tick is None else tick, taken)
+        request = rows[POSE_REQUEST]
+        segment += np.cumsum(np.diff(request, prepend=request[:1]) != 0)
+
+    measured = _measured(rows, np.arange(len(log)) if tick is None else tick, taken)
     columns: dict[str, Array] = dict(measured)
-    age_s = {
-        name: own.age_s
-        for name in measured
-        if (own := _of_group(taken, name)) is not None
-    }
-    for name, values in _chosen(rows, measured).items():
+    age_s: dict[str, Array] = {}
+    for name in measured:
+        own = _of_group(taken, name)
+        if own is not None:
+            age_s[name] = own.age_s
+
+    inputs, outputs = _inputs_and_outputs(rows)
+    if SETPOINTS[0] in measured:
+        inputs = {}  # the robot itself reports what it was asked for
+    if measured:
+        outputs = {}
+    for name, values in (inputs | outputs).items():
         columns[name] = values
         if sampling is None or tick is None or is_input(name):
             continue
@@ -135,9 +142,8 @@ def frames_of(log: Log, sampling: Sampling | None) -> Frames:
             fresh &= enough
         columns[name] = np.where(fresh, values, np.nan)
         if period > 1:
-            age_s[name] = np.multiply(
-                tick % period, sampling.base_period_s, dtype=np.float64
-            )
+            late = tick % period
+            age_s[name] = np.multiply(late, sampling.base_period_s, dtype=np.float64)
     return Frames(columns, age_s, segment, on_ticks=sampling is not None and not taken)
 
 
@@ -151,9 +157,8 @@ def _taken(
     """
     came: dict[str, tuple[Indices, Array]] = {}
     for group in SAMPLED:
-        count, stamp = (
-            rows.get(f"internal.{n}") for n in (f"samples_{group}", f"taken_{group}_s")
-        )
+        count = rows.get(f"internal.samples_{group}")
+        stamp = rows.get(f"internal.taken_{group}_s")
         if count is None or stamp is None:
             continue
         at = np.flatnonzero(np.diff(count, prepend=count[:1]) > 0.0)
@@ -163,15 +168,14 @@ def _taken(
             came[group] = at, np.where(is_true, stamp[at], t_s[at])
     if "wheel" in came:
         tick_s = sampling.period("wheel") * sampling.base_period_s
+        since = came["wheel"][1] - t_s[0]
+        mean = np.exp(2j * np.pi * since / tick_s).mean()
+        phase = np.angle(mean) / (2.0 * np.pi)
+        for group, (at, stamps) in came.items():
+            came[group] = at, stamps - phase * tick_s
         at, stamps = came["wheel"]
-        phase = np.angle(np.exp(2j * np.pi * (stamps - t_s[0]) / tick_s).mean()) / (
-            2.0 * np.pi
-        )
-        came = {
-            group: (at, stamps - phase * tick_s) for group, (at, stamps) in came.items()
-        }
-        at, stamps = came["wheel"]
-        came["wheel"] = at, t_s[0] + tick_s * np.rint((stamps - t_s[0]) / tick_s)
+        ticks = np.rint((stamps - t_s[0]) / tick_s)
+        came["wheel"] = at, t_s[0] + tick_s * ticks
     return {group: _risen(t_s, *own) for group, own in came.items()}
 
 
@@ -188,7 +192,8 @@ def _without_rare_repeats(values: Array) -> Array:
     """
     there = np.flatnonzero(np.isfinite(values))
     again = np.diff(values[there], prepend=np.nan) == 0.0
-    alone = again & ~np.append(again[1:], False) & ~np.append(False, again[:-1])
+    before, after = np.append(False, again[:-1]), np.append(again[1:], False)
+    alone = again & ~before & ~after
     if again.mean() < RARE:
         values[there[alone]] = np.nan
     return values
@@ -202,7 +207,8 @@ def _risen(t_s: Array, at: Indices, stamps: Array) -> _Taken:
     last = np.append(np.diff(stamps) != 0.0, True)
     at, stamps = at[last], stamps[last]
     newest = np.maximum.accumulate(np.append(-np.inf, stamps))[:-1]
-    at, stamps = at[stamps > newest], stamps[stamps > newest]
+    is_newer = stamps > newest
+    at, stamps = at[is_newer], stamps[is_newer]
     fresh, follows, age_s = np.zeros((3, len(t_s)))
     steps = np.diff(stamps, prepend=stamps[:1])
     fresh[at], age_s[at] = 1.0, t_s[at] - stamps
@@ -220,15 +226,8 @@ def _enough(tick: Indices) -> Mask:
     while any(every % k == 0 for k in range(2, every)):
         every += 1
     after_gap = np.diff(tick, prepend=tick[:1]) != 1
-    return np.asarray(after_gap | (np.arange(len(tick)) % every == 0))
-
-
-def _ticks(log: Log, sampling: Sampling | None) -> Indices | None:
-    if TICK in log.columns and np.isfinite(log.columns[TICK]).all():
-        return log.columns[TICK].astype(np.int64)
-    if sampling is None:
-        return None
-    return np.rint(log.t_s / sampling.base_period_s).astype(np.int64)
+    nth = np.arange(len(tick)) % every == 0
+    return np.asarray(after_gap | nth)
 
 
 def _usable(log: Log, name: str) -> Array:
@@ -242,10 +241,6 @@ def _usable(log: Log, name: str) -> Array:
         return values
     unusable = BAD | UNCERTAIN if name.startswith(MEASURED) else BAD
     return np.where(log.status[name] & unusable, np.nan, values)
-
-
-def _rows(log: Log) -> Indices:
-    return np.arange(len(log))
 
 
 def _measured(
@@ -265,55 +260,37 @@ def _measured(
         else:
             sampled = np.where(own.fresh & own.follows, values, np.nan)
             found[name] = _without_rare_repeats(sampled)
-    if not all(name in found for name in SETPOINTS):
-        found = {
-            name: values for name, values in found.items() if name not in SETPOINTS
-        }
+    if not found.keys() >= set(SETPOINTS):  # the set-points of all wheels, or of none
+        for name in SETPOINTS:
+            found.pop(name, None)
     return found
 
 
-def _chosen(
-    rows: Mapping[str, Array], measured: Mapping[str, Array]
-) -> dict[str, Array]:
-    """Return the inputs that the robot acted on, and its own outputs if nothing was measured."""
-    if SETPOINTS[0] in measured:
-        return {}  # the robot itself reports what it was asked for
+def _inputs_and_outputs(
+    rows: Mapping[str, Array],
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Return the inputs that the robot acted on, and its own outputs."""
     known = known_signals()
-    inputs = {
-        name: values
-        for name, values in rows.items()
-        if name in known and is_input(name)
-    }
-    inputs |= (
-        {COMMAND: rows[COMMAND]} if COMMAND in rows and rows[COMMAND].any() else {}
-    )
-    outputs = {
-        name: values
-        for name, values in rows.items()
-        if name in known and name not in inputs
-    }
-    return _obeyed(inputs) | ({} if measured else outputs)
-
-
-def _obeyed(inputs: dict[str, Array]) -> dict[str, Array]:
-    """Return the inputs without set-points of the mode that is not in force."""
-    if MODE not in inputs:
-        return inputs
-    mode_of = {name: mode for mode, names in enumerate(OF_MODE) for name in names}
-    return {
-        name: np.where(inputs[MODE] == mode_of[name], values, np.nan)
-        if name in mode_of
-        else values
-        for name, values in inputs.items()
-    }
+    inputs = {n: rows[n] for n in rows if n in known and is_input(n)}
+    if COMMAND in rows and rows[COMMAND].any():
+        inputs[COMMAND] = rows[COMMAND]
+    outputs = {n: rows[n] for n in rows if n in known and n not in inputs}
+    if MODE in inputs:
+        # Set-points of a mode that is not in force count for nothing.
+        for mode, names in enumerate(OF_MODE):
+            is_in_force = inputs[MODE] == mode
+            for name in names:
+                if name in inputs:
+                    inputs[name] = np.where(is_in_force, inputs[name], np.nan)
+    return inputs, outputs
 
 
 def _fresh(values: Array, sample: Indices, segment: Indices) -> Mask | None:
     """Return the first row of every sample; None if values within one differ."""
     there = np.flatnonzero(np.isfinite(values))
-    new = (np.diff(sample[there], prepend=-1) != 0) | (
-        np.diff(segment[there], prepend=-1) != 0
-    )
+    new_sample = np.diff(sample[there], prepend=-1) != 0
+    new_segment = np.diff(segment[there], prepend=-1) != 0
+    new = new_sample | new_segment
     if (np.diff(values[there])[~new[1:]] != 0.0).any():
         return None
     fresh = np.zeros(len(values), dtype=np.bool_)
@@ -335,7 +312,8 @@ def _first_of_each(values: Array, tick: Indices) -> Array:
         return values
     ticks = tick[there]
     usual = max(int(np.median(np.diff(ticks[first]))), 1)
-    since = ticks - np.repeat(ticks[first], np.diff(first, append=len(there)))
+    lengths = np.diff(first, append=len(there))
+    since = ticks - np.repeat(ticks[first], lengths)
     again = since % usual == 0
     result = np.full(len(values), np.nan)
     result[there[again]] = values[there[again]]

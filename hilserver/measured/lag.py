@@ -62,10 +62,9 @@ class Lag:
     @property
     def drifts(self) -> bool:
         """Whether the delay clearly grows."""
-        return (
-            abs(self.drift) > CLOCK_SURE_SD * self.drift_sd
-            and abs(self.drift) * self.length_s > self.least_s
-        )
+        size = abs(self.drift)
+        is_sure = size > CLOCK_SURE_SD * self.drift_sd
+        return is_sure and size * self.length_s > self.least_s
 
 
 def wheel_motion(
@@ -76,12 +75,11 @@ def wheel_motion(
     One wheel per side is enough, but not if a mecanum robot moves sideways: its wheels then differ.
     """
     taken = slice(None) if robot.is_mecanum else slice(1)
-    sides = [
-        [f"wheel.{w}.speed_rpm" for w in s[taken]] for s in (LEFT_WHEELS, RIGHT_WHEELS)
-    ]
-    if not log.has(*sides[0], *sides[1]):
+    lefts = [f"wheel.{wheel}.speed_rpm" for wheel in LEFT_WHEELS[taken]]
+    rights = [f"wheel.{wheel}.speed_rpm" for wheel in RIGHT_WHEELS[taken]]
+    if not log.has(*lefts, *rights):
         return None
-    first = log[sides[0][0]]
+    first = log[lefts[0]]
     if _period_s(first) > CLOCK_SLOWEST_S:
         return None
 
@@ -90,7 +88,7 @@ def wheel_motion(
         speeds = [_at(first, log[name], log[name].values) for name in side]
         return np.asarray(np.mean(speeds, axis=0))
 
-    left, right = map(mean, sides)
+    left, right = mean(lefts), mean(rights)
     forward = first.with_values((left - right) * RAD_S_PER_RPM)
     turning = first.with_values(-(left + right) * RAD_S_PER_RPM)
     return forward, turning
@@ -161,12 +159,10 @@ def lag_behind(rate: Channel, path: Channel | None, *, is_angle: bool) -> Lag | 
     if n < CLOCK_FEWEST_CHUNKS:
         return None
     borders = np.linspace(begin, end, n + 1)
-    delays = np.array(
-        [
-            _delay(t_rate, s_rate, t_path, s_path, first, last)
-            for first, last in pairwise(borders)
-        ]
-    )
+    found = []
+    for first, last in pairwise(borders):
+        found.append(_delay(t_rate, s_rate, t_path, s_path, first, last))
+    delays = np.array(found)
     middle = (borders[:-1] + borders[1:]) / 2.0
     good = np.isfinite(delays)
     if good.sum() < CLOCK_FEWEST_CHUNKS:
@@ -225,9 +221,10 @@ def _delay(
 
 def _unexplained(y: Array, x: Array) -> Array:
     """Return the share of the variance of y, shape (n,), that no line in each row of x explains."""
-    y, x = y - y.mean(), x - x.mean(axis=1, keepdims=True)
+    y = y - y.mean()
+    x = x - x.mean(axis=1, keepdims=True)
     total = (y**2).sum() * (x**2).sum(axis=1)
-    share = np.divide(
-        (x * y).sum(axis=1) ** 2, total, out=np.zeros(len(x)), where=total > 0.0
-    )
+    common = (x * y).sum(axis=1) ** 2
+    none = np.zeros(len(x))
+    share = np.divide(common, total, out=none, where=total > 0.0)
     return np.asarray(1.0 - share)

@@ -164,11 +164,8 @@ class LogMapping(Section):
 
 def builtin_mappings() -> tuple[str, ...]:
     """Return the names of the mappings that come with hilserver."""
-    return tuple(
-        sorted(
-            Path(f.name).stem for f in _folder().iterdir() if f.name.endswith(".yaml")
-        )
-    )
+    files = [Path(file.name) for file in _folder().iterdir()]
+    return tuple(sorted(file.stem for file in files if file.suffix == ".yaml"))
 
 
 def _folder() -> Traversable:
@@ -191,12 +188,12 @@ def load_mapping(mapping: Path | str) -> LogMapping:
 def _load(path: Path) -> LogMapping:
     try:
         result = load(path, LogMapping)
-        complaints = [
-            f"{place(path, ('channels', name, *key))}{complaint}"
-            for name, channel in result.channels.items()
-            if (found := _complaint(name, channel))
-            for key, complaint in [found]
-        ]
+        complaints = []
+        for name, channel in result.channels.items():
+            found = _complaint(name, channel)
+            if found is not None:
+                key, complaint = found
+                complaints.append(f"{place(path, ('channels', name, *key))}{complaint}")
         if {c.topic is None for c in result.channels.values()} == {True, False}:
             complaints.append(
                 f"{place(path, ('channels',))}a log is either a table or a bag; use only columns"

@@ -30,22 +30,18 @@ def _table() -> SignalTable:
 @cache
 def known_signals() -> dict[str, Signal]:
     """Return every signal that can be measured or commanded, by its name in the signal table."""
-    return {
-        signal.name: signal
-        for signal in _table()
-        if not (
-            signal.is_array
-            or signal.is_measured
-            or signal.name.startswith(_OF_THE_DAEMON)
-        )
-    }
+    found: dict[str, Signal] = {}
+    for signal in _table():
+        is_ours = signal.name.startswith(_OF_THE_DAEMON)
+        if not (signal.is_array or signal.is_measured or is_ours):
+            found[signal.name] = signal
+    return found
 
 
 def mapped_units() -> dict[str, str]:
     """Return the unit of everything that a mapping may name: signals, and a driver's odometry."""
-    return {
-        name: signal.unit for name, signal in known_signals().items()
-    } | ODOMETRY_UNITS
+    units = {name: signal.unit for name, signal in known_signals().items()}
+    return units | ODOMETRY_UNITS
 
 
 def signal_unit(name: str) -> str:

@@ -56,9 +56,9 @@ def refuse_other_machine(
     for kind in _KINDS:
         shown = [name for name in names if kind.words & words_of(name)]
         typed = [name for name in types if kind.types.match(name)]
-        if (len(shown) >= kind.fewest or typed) and (
-            kind.may_have_wheels or not has_wheels
-        ):
+        is_shown = typed or len(shown) >= kind.fewest
+        may_be = kind.may_have_wheels or not has_wheels
+        if is_shown and may_be:
             raise _refusal(where, (typed + shown)[0], kind.what)
     joints = {match[1]: name for name in names if (match := _JOINT.search(name))}
     if len(joints) >= _FEWEST_JOINTS and not has_wheels:

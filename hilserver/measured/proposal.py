@@ -243,9 +243,8 @@ def time_column(
 ) -> str | None:
     """Return the column of the times, by its type or else by its name; one without any is none."""
     texts = dict(zip(header, first, strict=False))
-    named = [
-        name for name in header if words_of(name) & _TIMES and texts.get(name, "0")
-    ]
+    full = [name for name in header if texts.get(name, "0")]
+    named = [name for name in full if words_of(name) & _TIMES]
     typed = [name for name in header if name in (types or {})]
     return next(iter([*typed, *named]), None)
 
@@ -253,9 +252,8 @@ def time_column(
 def _time(head: Head) -> str:
     """Return the line of the time, with the unit that its name or its first number shows."""
     stamps = head.stamps
-    first = (
-        dict(zip(head.header, head.first, strict=False)).get(stamps.time, "").strip()
-    )
+    texts = dict(zip(head.header, head.first, strict=False))
+    first = texts.get(stamps.time, "").strip()
     kind = kind_of(first)
     parts = [f"column: {quoted(stamps.time)}"]
     if stamps.rest is not None:
@@ -326,23 +324,23 @@ def line(signal: str, name: str, words: set[str], at: str) -> str:
 def meanings(header: Sequence[str], row: Sequence[str]) -> list[set[str]]:
     """Return the words of every column; numbered ones are wheels, named by the row or in order."""
     numbered = {name: match for name in header if (match := _NUMBERED.fullmatch(name))}
-    names = {
-        numbered[name][2]: text
-        for name, text in zip(header, row, strict=False)
-        if name in numbered and numbered[name][1].lower().endswith("name")
-    }
+    texts = dict(zip(header, row, strict=False))
+    names: dict[str, str] = {}
     alike: dict[tuple[str, str], list[str]] = {}
-    for match in numbered.values():
-        alike.setdefault((match[1], match[3]), []).append(match[2])
+    for name, match in numbered.items():
+        stem, digit, rest = match.groups()
+        alike.setdefault((stem, rest), []).append(digit)
+        if name in texts and stem.lower().endswith("name"):
+            names[digit] = texts[name]
     found = []
     for name in header:
         words = words_of(name)
         is_of_wheels = words & _OF_WHEELS and not words & {"linear", "angular", *_SEEN}
         if name in numbered and is_of_wheels:
-            match = numbered[name]
-            digits = sorted(alike[match[1], match[3]])
+            stem, digit, rest = numbered[name].groups()
+            digits = sorted(alike[stem, rest])
             order = _ORDER.get(len(digits), ("",) * len(digits))
-            words |= words_of(names.get(match[2]) or order[digits.index(match[2])])
+            words |= words_of(names.get(digit) or order[digits.index(digit)])
         found.append(words)
     return found
 
@@ -367,10 +365,8 @@ def _signals(words: set[str], unit: str) -> list[str]:
         if words & _OTHER:
             return []
         is_angle = words & {*_COUNTS, *_ANGLE} and not words & _SPEED and not unit
-        return [
-            f"wheel.{wheel}.{'angle_rad' if is_angle else 'speed_rpm'}"
-            for wheel in wheels
-        ]
+        quantity = "angle_rad" if is_angle else "speed_rpm"
+        return [f"wheel.{wheel}.{quantity}" for wheel in wheels]
     for signal, needed, without in _RULES:
         if all(words & some for some in needed) and not words & without:
             return [signal] if signal else []
@@ -385,8 +381,7 @@ def _unit(name: str, signal: str) -> str:
 
 def quoted(name: str) -> str:
     """Return a name in valid YAML."""
-    return (
-        name
-        if re.fullmatch(r"[A-Za-z_][\w.]*", name)
-        else '"' + name.replace('"', '\\"') + '"'
-    )
+    if re.fullmatch(r"[A-Za-z_][\w.]*", name):
+        return name
+    escaped = name.replace('"', '\\"')
+    return f'"{escaped}"'

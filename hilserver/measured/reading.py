@@ -65,18 +65,20 @@ def read_measured(
         raise LogError("no log given; name at least one")
     sources = tuple(LogSource(_shown(path), _sha256(path)) for path in paths)
     _refuse_others(paths, sources, recordings)
+    notices: list[str] = []
+    for recording in recordings:
+        notices += recording.notices
     log = MeasuredLog(
         sources=sources,
         channels={},
         spans=(),
         has_stamps=all(recording.has_stamps for recording in recordings),
         plant={} if table is None else table.plant_keys,
-        notices=tuple(
-            notice for recording in recordings for notice in recording.notices
-        ),
+        notices=tuple(notices),
         on_ticks=any(recording.on_ticks for recording in recordings),
     )
-    pooled = with_wheels(without_jumps(cut_at_pauses(_pool(log, recordings))), table)
+    whole = without_jumps(cut_at_pauses(_pool(log, recordings)))
+    pooled = with_wheels(whole, table)
     _refuse_lengths(paths[0], [span.end_s - span.start_s for span in pooled.spans])
     for path, recording in zip(paths, recordings, strict=True):
         _refuse_slow(path, recording)
@@ -85,10 +87,12 @@ def read_measured(
 
 def _refuse_slow(path: Path, recording: Recording) -> None:
     """Refuse rows so far apart that their unit must be wrong, or nothing of a drive is visible."""
-    steps_s = [np.diff(p.t_s)[np.diff(p.segment) == 0] for p in recording.parts]
-    usual_s = min(
-        (float(np.median(steps)) for steps in steps_s if steps.size), default=0.0
-    )
+    usual: list[float] = []
+    for part in recording.parts:
+        within = np.diff(part.segment) == 0
+        if within.any():
+            usual.append(float(np.median(np.diff(part.t_s)[within])))
+    usual_s = min(usual, default=0.0)
     if recording.has_stamps and usual_s > SLOWEST_ROWS_S:
         raise LogError(
             f"{path}: its rows are {usual_s:.3g} s apart, too far to show the motion of a robot;"
@@ -118,22 +122,21 @@ def _read(
         refuse_others(path)
         recording = _by_kind(path, mapping, sampling)
     except OSError as error:
-        raise LogError(
-            f"{path}: {(error.strerror or 'cannot be read').lower()}"
-        ) from None
-    if not any(
-        np.isfinite(v).any() for part in recording.parts for v in part.columns.values()
-    ):
+        reason = error.strerror or "cannot be read"
+        raise LogError(f"{path}: {reason.lower()}") from None
+    columns = [values for part in recording.parts for values in part.columns.values()]
+    if not any(np.isfinite(values).any() for values in columns):
         raise LogError(
             f"{path}: contains no samples of any signal; record some, or map its columns"
         )
-    usual_s = max(float(np.median(np.abs(part.t_s))) for part in recording.parts)
+    usual_s = max(np.median(np.abs(part.t_s)) for part in recording.parts)
     if usual_s > LATEST_S:
         raise LogError(
             f"{path}: its times are about {usual_s:.3g} s, impossible for a recording; write"
             f" seconds, or give the unit in a mapping, as time: {{unit: ns}}"
         )
-    seconds = sum(span.end_s - span.start_s for span in _spans(recording, 0)[0])
+    spans, _ = _spans(recording, 0)
+    seconds = sum(span.end_s - span.start_s for span in spans)
     if seconds < SHORTEST_LOG_S:
         raise LogError(
             f"{path}: contains only {seconds:.3g} s; a diagnosis needs at least"
@@ -172,16 +175,17 @@ def _refuse_others(
     paths: Sequence[Path], sources: Sequence[LogSource], recordings: Sequence[Recording]
 ) -> None:
     """Refuse what cannot be pooled: the same log twice, and recordings of different machines."""
-    for index, path in enumerate(paths):
-        for earlier in range(index):
-            if sources[index].sha256 == sources[earlier].sha256:
+    logs = list(zip(paths, sources, recordings, strict=True))
+    for index, (path, source, recording) in enumerate(logs):
+        for other_path, other_source, other in logs[:index]:
+            if source.sha256 == other_source.sha256:
                 raise LogError(
-                    f"{path}: is the same log as {paths[earlier]}; name it only once"
+                    f"{path}: is the same log as {other_path}; name it only once"
                 )
-            machines = {recordings[earlier].machine, recordings[index].machine} - {None}
+            machines = {other.machine, recording.machine} - {None}
             if len(machines) > 1:
                 raise LogError(
-                    f"{path}: was recorded with a different plant from that of {paths[earlier]};"
+                    f"{path}: was recorded with a different plant from that of {other_path};"
                     " pool only logs of one machine, or use --each"
                 )
 
@@ -196,9 +200,9 @@ def _shown(path: Path) -> str:
 
 def _sha256(path: Path) -> str:
     digest = hashlib.sha256()
-    files = (
-        sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path]
-    )
+    files = [path]
+    if path.is_dir():
+        files = sorted(file for file in path.iterdir() if file.is_file())
     for file in files:
         with file.open("rb") as opened:
             while chunk := opened.read(1 << 20):
@@ -217,8 +221,8 @@ def _pool(log: MeasuredLog, recordings: Sequence[Recording]) -> MeasuredLog:
             for name, piece in _channels(part, span + len(spans)).items():
                 pieces.setdefault(name, []).append(piece)
         spans += own
-    channels = _commanded({name: _joined(found) for name, found in pieces.items()})
-    return replace(log, channels=channels, spans=tuple(spans))
+    channels = {name: _joined(found) for name, found in pieces.items()}
+    return replace(log, channels=_commanded(channels), spans=tuple(spans))
 
 
 def _commanded(channels: Mapping[str, Channel]) -> dict[str, Channel]:
@@ -231,14 +235,13 @@ def _commanded(channels: Mapping[str, Channel]) -> dict[str, Channel]:
     by_twist = MODE in found and (found[MODE].values == MODE_TWIST).any()
     asked = all(name in channels for name in DEMANDS)
     known = found.keys() & {*TWIST, *DUTY_COMMANDS}
-    if (
-        not asked
-        or known
-        or (all(name in found for name in SETPOINTS) and not by_twist)
-    ):
+    by_wheel = found.keys() >= set(SETPOINTS) and not by_twist
+    if not asked or known or by_wheel:
         return found
     found.pop(MODE, None)
-    return found | {s: channels[d] for s, d in zip(SETPOINTS, DEMANDS, strict=True)}
+    for setpoint, demand in zip(SETPOINTS, DEMANDS, strict=True):
+        found[setpoint] = channels[demand]
+    return found
 
 
 def _spans(recording: Recording, offset: int) -> tuple[list[Span], list[Indices]]:
@@ -249,41 +252,32 @@ def _spans(recording: Recording, offset: int) -> tuple[list[Span], list[Indices]
     if len(recording.parts) > 1:
         start_s = min(float(part.t_s[0]) for part in recording.parts)
         end_s = max(float(part.t_s[-1]) for part in recording.parts)
-        span = Span(offset, None, start_s, end_s)
-        return [span], [
-            np.zeros(len(part.t_s), dtype=np.int64) for part in recording.parts
-        ]
+        lengths = [len(part.t_s) for part in recording.parts]
+        rows = [np.zeros(length, dtype=np.int64) for length in lengths]
+        return [Span(offset, None, start_s, end_s)], rows
     (part,) = recording.parts
     block = np.zeros_like(part.segment) if part.block is None else part.block
     begins = (np.diff(part.segment) != 0) | (np.diff(block) != 0)
-    starts = (
-        np.concatenate(([0], np.flatnonzero(begins) + 1))
-        if len(part.t_s)
-        else np.empty(0, int)
-    )
-    _refuse_scattered(recording.path, part, starts)
+    starts = np.flatnonzero(np.append(True, begins)[: len(part.t_s)])
     ends = np.append(starts[1:], len(part.t_s))
-    spans = [
-        Span(
-            offset + int(part.segment[first]),
-            None if part.block is None else int(part.block[first]),
-            float(part.t_s[first]),
-            float(part.t_s[end - 1]),
-        )
-        for first, end in zip(starts, ends, strict=True)
-    ]
-    return spans, [np.repeat(np.arange(len(starts)), ends - starts)]
 
-
-def _refuse_scattered(path: Path, part: Stamped, starts: Indices) -> None:
     numbers = part.segment[starts]
     runs = numbers[np.flatnonzero(np.diff(numbers, prepend=numbers[:1] - 1))]
     unique, counts = np.unique(runs, return_counts=True)
     if (counts > 1).any():
         number = int(unique[counts > 1][0])
         raise LogError(
-            f"{path}: column 'segment': segment {number} begins twice; give each run its own number"
+            f"{recording.path}: column 'segment': segment {number} begins twice; give each run"
+            " its own number"
         )
+
+    spans = []
+    for first, end in zip(starts, ends, strict=True):
+        number = offset + int(part.segment[first])
+        own_block = None if part.block is None else int(part.block[first])
+        start_s, end_s = float(part.t_s[first]), float(part.t_s[end - 1])
+        spans.append(Span(number, own_block, start_s, end_s))
+    return spans, [np.repeat(np.arange(len(starts)), ends - starts)]
 
 
 def _channels(part: Stamped, span: Indices) -> Mapping[str, Channel]:

@@ -17,12 +17,14 @@ def step_of(values: Array) -> tuple[float, float]:
     gaps = gaps[gaps > 1e-9 * np.abs(different).max()]
     if not len(gaps):
         return 0.0, 0.0
-    step, origin = float(np.median(gaps[gaps < 1.5 * gaps.min()])), float(different[0])
+    step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
+    origin = float(different[0])
     for _ in range(3):  # from neighbours to the whole range: each time a longer lever
         count = np.rint((different - origin) / step)
-        slope, origin = np.polyfit(count, different, 1)
-        step = float(slope)
+        step, origin = map(float, np.polyfit(count, different, 1))
         if not step > 0.0:
             return 0.0, 0.0
-    off = np.abs(different - origin - step * np.rint((different - origin) / step))
-    return (step, float(origin)) if off.max() < STEP_EXACT * step else (0.0, 0.0)
+    since = different - origin
+    off = np.abs(since - step * np.rint(since / step))
+    is_exact = off.max() < STEP_EXACT * step
+    return (step, origin) if is_exact else (0.0, 0.0)

@@ -154,26 +154,21 @@ def _refuse_units(path: Path, layout: CsvLayout) -> None:
             )
 
 
-def _machine(log: Log) -> str | None:
+def _own(log: Log, sampling: Sampling | None) -> Recording:
+    is_ours = is_of_the_daemon(log)
+    frames = frames_of(log, own_sampling(log) or sampling if is_ours else None)
+    part = Stamped(log.t_s, frames.segment, frames.columns, log.block, frames.age_s)
+
+    machine: str | None = None
     try:
         configuration = configuration_of(log.run)
         sections = {key: configuration[key] for key in ("plant", "kinematics")}
+        machine = yaml.safe_dump(sections)
     except (ValueError, KeyError):
-        return None
-    return yaml.safe_dump(sections)
-
-
-def _own(log: Log, sampling: Sampling | None) -> Recording:
-    frames = frames_of(
-        log, own_sampling(log) or sampling if is_of_the_daemon(log) else None
-    )
-    part = Stamped(log.t_s, frames.segment, frames.columns, log.block, frames.age_s)
+        pass  # it does not say with which plant it was made
+    notices = list(log.notices)
     return Recording(
-        log.path,
-        [part],
-        notices=list(log.notices),
-        machine=_machine(log),
-        on_ticks=frames.on_ticks,
+        log.path, [part], notices=notices, machine=machine, on_ticks=frames.on_ticks
     )
 
 
@@ -221,18 +216,18 @@ def read_mapped(path: Path, mapping: LogMapping) -> Recording:
 
     used = {str(channel.column) for channel in mapping.channels.values()}
     used |= {segment, block} | {n for n in (time, stamps.rest) if n is not None}
-    table = (
-        read_parquet(path, used, time)
-        if is_parquet
-        else read_table(
+    if is_parquet:
+        table = read_parquet(path, used, time)
+    else:
+        is_dated = mapping.time.unit == DATED
+        table = read_table(
             path,
             time=time,
             used=used,
             rest=stamps.rest,
             layout=layout,
-            dated=mapping.time.unit == DATED,
+            dated=is_dated,
         )
-    )
     demanded = {"time": time, "time.rest": stamps.rest}
     demanded[SEGMENT] = segment if mapping.segment is not None else None
     demanded[BLOCK] = block if mapping.block is not None else None
@@ -248,11 +243,10 @@ def read_mapped(path: Path, mapping: LogMapping) -> Recording:
     else:
         t_s = _counted(table.segment(segment), float(mapping.time.rate_hz or 1.0))
     notices = list(table.notices)
-    columns = {
-        name: _mapped(table, mapping, name, notices)
-        for name, channel in mapping.channels.items()
-        if not channel.optional or channel.column in table.header
-    }
+    columns = {}
+    for name, channel in mapping.channels.items():
+        if not channel.optional or channel.column in table.header:
+            columns[name] = _mapped(table, mapping, name, notices)
     part = Stamped(t_s, table.segment(segment), columns, table.integers(block))
     return Recording(path, [part], time is not None, list(dict.fromkeys(notices)))
 
@@ -267,9 +261,8 @@ def _counted(segment: Indices, rate_hz: float) -> Array:
 
 def _demand(table: Table, column: str, key: str) -> None:
     if column not in table.header:
-        hint = meant(
-            column, table.header, f"the columns are {', '.join(table.header):.200}"
-        )
+        known = f"the columns are {', '.join(table.header):.200}"
+        hint = meant(column, table.header, known)
         raise LogError(
             f"{table.path}: row {table.header_row}: there is no column '{column}', which the"
             f" mapping names for {key}; {hint}"
@@ -287,9 +280,9 @@ def _mapped(table: Table, mapping: LogMapping, name: str, notices: list[str]) ->
         notices.append(
             f"{table.path}: column '{column}' is read in {said}, as the file says"
         )
-    elif None not in (channel.unit, in_row) and conversion(
-        str(channel.unit), str(in_row)
-    ) not in (1.0, None):
+    elif channel.unit is None or in_row is None:
+        pass
+    elif conversion(channel.unit, in_row) not in (1.0, None):
         notices.append(
             f"{table.path}: column '{column}' is read in {channel.unit}, as the mapping says,"
             f" though its row of units says {in_row}"
@@ -312,9 +305,8 @@ def as_signal(
     """
     refuse_absurd(values, at, where)
     with np.errstate(over="ignore"):
-        converted: Array = (
-            values * mapping.factor(name, said) + mapping.channels[name].offset
-        )
+        scaled = values * mapping.factor(name, said)
+        converted: Array = scaled + mapping.channels[name].offset
     refuse_absurd(converted, at, lambda row, at: f"{where(row, at)}, as {name}")
     return converted
 
