@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 EXIT_DONE = 0
 EXIT_FAILED = 1
-EXIT_BAD_LOG = 2
+EXIT_BAD_LOG = EXIT_USAGE = 2
 EXIT_SAFETY_LIMIT = 3
 EXIT_DIFFERENT = 4
 EXIT_BAD_CONFIGURATION = 78
@@ -21,6 +21,12 @@ class UserError(Exception):
 
 class FailedError(UserError):
     """The system refused: port in use, device absent, file not writable."""
+
+
+class UsageError(UserError):
+    """Words of a command line that can never work; the code is that of argparse."""
+
+    exit_code = EXIT_USAGE
 
 
 class ControlRefused(UserError):

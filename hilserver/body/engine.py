@@ -29,6 +29,11 @@ class BodyEngine:
     """One model and its data, stepped through its addresses, which it must outlive."""
 
     def __init__(self, body: BodyParameters) -> None:
+        if body.robot.wheelbase_m is None:
+            raise PlantError(
+                "plant.wheelbase_m: the mechatronic model needs four wheels; give the distance"
+                " between the axles."
+            )
         library = mujoco()
         self.body = body  # parameters it was made from
         self.model = library.MjModel.from_xml_string(mjcf(body, body.robot.solids))

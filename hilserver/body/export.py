@@ -107,8 +107,39 @@ def _chassis_m(body: BodyParameters) -> tuple[float, float, float]:
     return -ahead, -aside, body.robot.wheel_radius_m - height
 
 
+def _wheels(body: BodyParameters) -> list[tuple[str, str, list[float]]]:
+    """Return of each wheel its short name, its name in words and its centre.
+
+    A robot on one axle has two, whose names say nothing of front and rear.
+    """
+    centres_m = dict(zip(WHEELS, body.wheels_m.tolist(), strict=True))
+    if body.robot.wheelbase_m is None:
+        return [("l", "left", centres_m["fl"]), ("r", "right", centres_m["fr"])]
+    return [
+        (wheel, WHEEL_WORDS[wheel].replace(" ", "_"), centre_m)
+        for wheel, centre_m in centres_m.items()
+    ]
+
+
+def _castors(body: BodyParameters) -> dict[str, tuple[float, float, float]]:
+    """Return the centres of the castors: balls, half as large as the wheels.
+
+    One before and one behind the axle, so that it stands wherever its mass is.
+    """
+    if body.robot.wheelbase_m is not None:
+        return {}
+    ahead, aside, height = body.centre_of_mass_m
+    reach_m, up_m = body.robot.track_m / 2, body.robot.wheel_radius_m / 2
+    return {
+        "castor_front": (reach_m - ahead, -aside, up_m - height),
+        "castor_rear": (-reach_m - ahead, -aside, up_m - height),
+    }
+
+
 def robot_mjcf(body: BodyParameters) -> str:
     """Return a robot with a hinge and a velocity servo per wheel.
+
+    A robot on one axle has two wheels, and castors without friction.
 
     It uses the friction of MuJoCo's contacts, so it does not turn like that of `mjcf`, which has
     our own tyres. It is meant for viewing, and for other work in MuJoCo.
@@ -124,10 +155,15 @@ def robot_mjcf(body: BodyParameters) -> str:
     Xml.SubElement(
         robot, "inertial", pos="0 0 0", mass=_text(body.mass_kg), diaginertia=inertia
     )
-    plates = _text(*(0.5 * size for size in PLATES_M))
+    plates = _text(*(0.5 * size for size in body.chassis_m))
     Xml.SubElement(robot, "geom", type="box", size=plates, pos=_text(*_chassis_m(body)))
+    for name, centre_m in _castors(body).items():
+        ball = {"size": _text(body.robot.wheel_radius_m / 2), "pos": _text(*centre_m)}
+        # its contact counts, not that of the floor, which has friction
+        free = {"condim": "1", "priority": "1"}
+        Xml.SubElement(robot, "geom", free, name=name, type="sphere", mass="0", **ball)
     actuators = Xml.SubElement(root, "actuator")
-    for name, centre in zip(WHEELS, body.wheels_m.tolist(), strict=True):
+    for name, _, centre in _wheels(body):
         wheel = Xml.SubElement(robot, "body", name=f"wheel_{name}", pos=_text(*centre))
         armature = _text(body.wheel_inertia_kg_m2)
         Xml.SubElement(
@@ -154,7 +190,7 @@ def robot_urdf(body: BodyParameters, prefix: str = "") -> str:
     """
     root, base = Xml.Element("robot", name="hilserver"), f"{prefix}base_link"
     link = Xml.SubElement(root, "link", name=base)
-    _visual(link, _text(*_chassis_m(body)), "0 0 0", "box", size=_text(*PLATES_M))
+    _visual(link, _text(*_chassis_m(body)), "0 0 0", "box", size=_text(*body.chassis_m))
     inertial = Xml.SubElement(link, "inertial")
     Xml.SubElement(inertial, "mass", value=_text(body.mass_kg))
     ixx, iyy, izz = (_text(moment) for moment in body.moments_kg_m2)
@@ -162,8 +198,8 @@ def robot_urdf(body: BodyParameters, prefix: str = "") -> str:
         inertial, "inertia", ixx=ixx, iyy=iyy, izz=izz, ixy="0", ixz="0", iyz="0"
     )
     size = {"radius": _text(body.robot.wheel_radius_m), "length": _text(WHEEL_WIDTH_M)}
-    for wheel, centre in zip(WHEELS, body.wheels_m.tolist(), strict=True):
-        name = f"wheel_{WHEEL_WORDS[wheel].replace(' ', '_')}"
+    for _, words, centre in _wheels(body):
+        name = f"wheel_{words}"
         link = Xml.SubElement(root, "link", name=prefix + name)
         _visual(link, "0 0 0", "1.57079633 0 0", "cylinder", **size)
         joint = _joint(
@@ -171,12 +207,18 @@ def robot_urdf(body: BodyParameters, prefix: str = "") -> str:
         )
         Xml.SubElement(joint, "origin", xyz=_text(*centre), rpy="0 0 0")
         Xml.SubElement(joint, "axis", xyz="0 1 0")
+    for name, centre_m in _castors(body).items():
+        link = Xml.SubElement(root, "link", name=prefix + name)
+        ball = {"radius": _text(body.robot.wheel_radius_m / 2)}
+        _visual(link, "0 0 0", "0 0 0", "sphere", **ball)
+        joint = _joint(root, f"{prefix}base_to_{name}", "fixed", base, prefix + name)
+        Xml.SubElement(joint, "origin", xyz=_text(*centre_m), rpy="0 0 0")
     tof, (ahead, aside, height) = body.robot.tof, body.centre_of_mass_m
     for place in CORNERS:
-        words = WHEEL_WORDS[place].split()
-        name, is_front, is_left = "/".join(words), place[0] == "f", place[1] == "l"
+        corner = WHEEL_WORDS[place].split()
+        name, is_front, is_left = "/".join(corner), place[0] == "f", place[1] == "l"
         Xml.SubElement(root, "link", name=f"{prefix}range/{name}")
-        joint_name = f"{prefix}base_to_range_{'_'.join(words)}"
+        joint_name = f"{prefix}base_to_range_{'_'.join(corner)}"
         joint = _joint(root, joint_name, "fixed", base, f"{prefix}range/{name}")
         x_m = tof.mount_x_m if is_front else -tof.mount_x_m
         y_m = tof.mount_y_m if is_left else -tof.mount_y_m

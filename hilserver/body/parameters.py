@@ -105,11 +105,19 @@ class BodyParameters:
         return centres
 
     @property
+    def chassis_m(self) -> tuple[float, float, float]:
+        """Length, width and height of the chassis; it lies at the height of the wheels' centres."""
+        if self.robot.wheelbase_m is not None:
+            return PLATES_M
+        # nothing states its size: one that fits between two wheels, as round as most
+        return self.robot.track_m, self.robot.track_m / 2, self.robot.wheel_radius_m
+
+    @property
     def moments_kg_m2(self) -> tuple[float, float, float]:
         """Moments of inertia about the centre of mass."""
         if self.inertia_kg_m2 is not None:
             return self.inertia_kg_m2
-        x, y, z = (size * size / 12.0 * self.mass_kg for size in PLATES_M)
+        x, y, z = (size * size / 12.0 * self.mass_kg for size in self.chassis_m)
         return y + z, x + z, x + y
 
     def pack(self) -> Constants:
@@ -138,16 +146,9 @@ class BodyParameters:
 
 def _check_geometry(body: BodyParameters) -> None:
     robot, (ahead, aside, height) = body.robot, body.centre_of_mass_m
-    if robot.wheelbase_m is None:
-        raise PlantError(
-            "plant.wheelbase_m: the mechatronic model needs four wheels; give the distance between"
-            " the axles."
-        )
-    inside = (
-        abs(ahead) < robot.wheelbase_m / 2
-        and abs(aside) < robot.track_m / 2
-        and height > 0
-    )
+    # a robot on one axle stands on its castors, too
+    length_m = robot.track_m if robot.wheelbase_m is None else robot.wheelbase_m
+    inside = abs(ahead) < length_m / 2 and abs(aside) < robot.track_m / 2 and height > 0
     if not inside:
         raise PlantError(
             f"mechatronic.centre_of_mass_m: {list(body.centre_of_mass_m)} must lie between the"

@@ -3,7 +3,7 @@
 import argparse
 
 from hilserver.commands.remote import add_connection, ask, from_json
-from hilserver.errors import FailedError, meant
+from hilserver.errors import UsageError, meant
 from hilserver.io.opcua_server.method_table import METHODS
 
 EXAMPLE = "hilserver call SetPose 1.0 0.5 0"
@@ -22,10 +22,10 @@ def run(args: argparse.Namespace) -> int:
     if method is None:
         names = [method.name for method in METHODS]
         hint = meant(args.method, names, f"the methods are {', '.join(names)}")
-        raise FailedError(f"there is no method '{args.method}'; {hint}")
+        raise UsageError(f"there is no method '{args.method}'; {hint}")
     wanted = [argument.name for argument in method.arguments]
     if len(args.arguments) != len(wanted):
-        raise FailedError(
+        raise UsageError(
             f"{method.name} takes {len(wanted)} arguments: {', '.join(wanted)}"
         )
     arguments = [from_json(text) for text in args.arguments]

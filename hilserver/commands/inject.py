@@ -4,7 +4,7 @@ import argparse
 import json
 
 from hilserver.commands.remote import add_connection, ask, from_json
-from hilserver.errors import FailedError
+from hilserver.errors import UsageError
 
 EXAMPLE = """hilserver inject '{"fault": "bias", "signal": "battery.voltage_v", "offset": -2}'"""
 
@@ -21,5 +21,5 @@ def run(args: argparse.Namespace) -> int:
     """Inject; return 0 once the daemon has accepted the fault."""
     fault = from_json(args.fault)
     if not isinstance(fault, dict):
-        raise FailedError('a fault is a JSON object such as \'{"fault": "bias", ...}\'')
+        raise UsageError('a fault is a JSON object such as \'{"fault": "bias", ...}\'')
     return ask(args, lambda hand: hand.call("InjectFault", [json.dumps(fault)]))

@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable, Iterable
 from typing import Any
 
 from hilserver.commands.options import add_config, config_path
-from hilserver.errors import EXIT_DONE, FailedError
+from hilserver.errors import EXIT_DONE, FailedError, UsageError
 from hilserver.io.opcua_server.model import SHELL
 from hilserver.io.page.hand import Hand, RefusedError
 from hilserver.io.page.setup import OpcUaAccess
@@ -38,7 +38,7 @@ def from_json(text: str) -> Any:
         return json.loads(text)
     except json.JSONDecodeError:
         if text[:1] in tuple('{["'):
-            raise FailedError(
+            raise UsageError(
                 f"{text:.80}: is not JSON; put it in single quotes"
             ) from None
         return text

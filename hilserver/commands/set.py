@@ -9,7 +9,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from hilserver.commands.remote import PARAMETERS, add_connection, ask, from_json
-from hilserver.errors import FailedError, no_signal
+from hilserver.errors import UsageError, no_signal
 from hilserver.signals import Ranges, robot_table
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
         values |= {n: _number(table[n], values[n]) for n in parameters if n in table}
     for name in values:
         if name not in names:
-            raise FailedError(no_signal(name, names))
+            raise UsageError(no_signal(name, names))
     return ask(args, lambda hand: hand.write(values), parameters)
 
 
@@ -67,7 +67,7 @@ def _values(texts: list[str]) -> dict[str, Any]:
             continue
         name, equals, value = text.partition("=")
         if not equals:
-            raise FailedError(
+            raise UsageError(
                 f"'{text}': write SIGNAL=VALUE, or a JSON object in single quotes"
             )
         given = from_json(value)

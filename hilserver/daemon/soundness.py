@@ -143,15 +143,6 @@ def dead_drive(assembly: Assembly) -> Iterator[Complaint]:
         yield Complaint(("plant", "controller", "k_i"), text)
 
 
-def bodies(assembly: Assembly) -> Iterator[Complaint]:
-    """Yield what shows the robot's body where it has none."""
-    ros2 = assembly.config.ros2
-    is_shown = ros2.enabled and ros2.publish.robot_description
-    if is_shown and assembly.config.plant.wheelbase_m is None:
-        text = "only a robot with four wheels can be described (plant.wheelbase_m): set it to false"
-        yield Complaint(("ros2", "publish", "robot_description"), text)
-
-
 def slow_drive(assembly: Assembly) -> Iterator[Complaint]:
     """Yield set-points that the wheels do not reach."""
     plant = assembly.config.plant
@@ -297,7 +288,6 @@ IMPOSSIBLE: Final = (
     unknown_names,
     shared_addresses,
     dead_drive,
-    bodies,
     unwritable_names,
     impossible_time,
     mute_sources,

@@ -11,10 +11,22 @@ from hilserver.commands import main
 from hilserver.errors import EXIT_DONE
 from hilserver.plant.parameters import RobotParameters
 
+TURTLEBOT = """
+plant:
+  wheel_radius_m: 0.033
+  wheelbase_m: null
+  track_m: 0.16
+  icr_offset_m: 0
+  max_rpm: 65
+mechatronic: {mass_kg: 1, centre_of_mass_m: [-0.03, 0, 0.05]}
+"""
 
-def written(tmp_path, form):
-    path = tmp_path / "robot"
-    assert main(["model", "--format", form, "-o", str(path)]) == EXIT_DONE
+
+def written(tmp_path, form, text="{}"):
+    path, config = tmp_path / "robot", tmp_path / "config.yaml"
+    config.write_text(text, encoding="utf-8")
+    asked = ["model", "-c", str(config), "--format", form, "-o", str(path)]
+    assert main(asked) == EXIT_DONE
     return path.read_text(encoding="utf-8")
 
 
@@ -51,3 +63,26 @@ def test_names_can_have_a_prefix():
     }
     assert names
     assert all(name.startswith("eduard/") for name in names)
+
+
+def test_a_robot_on_one_axle_has_two_wheels_and_castors(tmp_path):
+    robot = ElementTree.fromstring(written(tmp_path, "urdf", TURTLEBOT))
+    joints = {joint.get("name"): joint for joint in robot.findall("joint")}
+    turning = {name for name, joint in joints.items() if joint.get("type") != "fixed"}
+    assert turning == {"base_to_wheel_left", "base_to_wheel_right"}
+    assert {"base_to_castor_front", "base_to_castor_rear"} < joints.keys()
+    place = joints["base_to_wheel_left"].find("origin").get("xyz").split()
+    assert [float(c) for c in place] == pytest.approx([0.03, 0.08, -0.017])
+
+
+def test_a_robot_on_one_axle_stands_and_drives_in_mujoco(tmp_path):
+    model = mujoco.MjModel.from_xml_string(written(tmp_path, "mjcf", TURTLEBOT))
+    assert (model.nu, model.njnt) == (2, 3)
+    data = mujoco.MjData(model)
+    data.ctrl[:] = 3.0
+    while data.time < 2.0:
+        mujoco.mj_step(model, data)
+    x_m, y_m, z_m = data.qpos[:3]
+    assert 0.1 < x_m < 2 * 3.0 * 0.033
+    assert abs(y_m) < 0.01
+    assert z_m == pytest.approx(0.05, abs=0.003)

@@ -1,6 +1,7 @@
 """Starts the page beside a daemon, restarts it when it fails, and ends it with the daemon."""
 
 import asyncio
+import contextlib
 import socket
 import sys
 from collections.abc import Callable
@@ -12,6 +13,7 @@ from hilserver.io.page.setup import Setup
 from hilserver.io.world import Part
 from hilserver.program import children
 from hilserver.tasks import SupervisedTask, Supervisor
+from hilserver.time_limit import time_limit
 
 PAGE_STOP_S = 0.7
 RESTART_S = 1.0
@@ -90,4 +92,10 @@ async def _run(setup: Setup, listener: socket.socket) -> int:
         await children.write(process, setup.to_json().encode() + b"\n")
         return await process.wait()
     finally:
-        await children.end(process, "page", PAGE_STOP_S)
+        # A clean end: it keeps nothing that could be lost, so a busy one is killed without a word.
+        with contextlib.suppress(ProcessLookupError):
+            process.terminate()
+        with contextlib.suppress(TimeoutError):
+            async with time_limit(PAGE_STOP_S):
+                await process.wait()
+        await children.end(process, "page", 0.0)
