@@ -26,6 +26,7 @@ from hilserver.diagnosis.output import REPORT, write, write_files
 from hilserver.diagnosis.pipeline import Task, TaskOutcome
 from hilserver.diagnosis.pipeline import run as diagnose
 from hilserver.errors import EXIT_DONE, ConfigError, FailedError, LogError
+from hilserver.exchange import FORMATS
 from hilserver.program.progress import Progress
 from hilserver.program.workers import in_processes
 
@@ -71,6 +72,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="with --each: use this Dask cluster, as tcp://host:8786",
     )
     parser.add_argument(
+        "--robot",
+        type=Path,
+        metavar="FILE",
+        help="take the robot's dimensions from the YAML of a ros2_control controller or a URDF",
+    )
+    parser.add_argument(
+        "--for",
+        dest="formats",
+        type=_formats,
+        default=(),
+        metavar="NAME,NAME",
+        help=f"write the result for these programs, too: {', '.join(FORMATS)}",
+    )
+    parser.add_argument(
         "--group",
         action="append",
         type=_group,
@@ -104,6 +119,16 @@ def _group(text: str) -> tuple[str, tuple[Path, ...]]:
     return name, paths
 
 
+def _formats(text: str) -> tuple[str, ...]:
+    names = tuple(name.strip() for name in text.split(","))
+    for name in names:
+        if name not in FORMATS:
+            raise argparse.ArgumentTypeError(
+                f"{name} is none of {', '.join(FORMATS)}; write names with commas between them"
+            )
+    return names
+
+
 def run(args: argparse.Namespace) -> int:
     """Diagnose; return 0 whatever was found, 2 if a log cannot be read."""
     _check(args)
@@ -118,6 +143,8 @@ def run(args: argparse.Namespace) -> int:
         seed=args.seed,
         jobs=args.jobs,
         groups=tuple(args.group or ()),
+        robot=args.robot,
+        formats=args.formats,
     )
     with Progress(lambda: STOPPED) as progress:
         outcome = diagnose(task, progress, lambda line: progress.say(line, sys.stderr))
@@ -151,6 +178,8 @@ def _check(args: argparse.Namespace) -> None:
         raise FailedError(
             "--compare A... --against B... cannot be combined with other logs or --each"
         )
+    if args.compare and args.formats:
+        raise FailedError("--for writes what one diagnosis found: leave --compare out")
     if args.group:
         _check_groups(args)
     elif not args.compare and not args.logs:
@@ -187,7 +216,15 @@ def _each(args: argparse.Namespace) -> int:
     if mapping is not None and Path(mapping).exists():
         mapping = str(Path(mapping).absolute())
     tasks = [
-        Task((log.absolute(),), config, mapping, seed=args.seed) for log in args.logs
+        Task(
+            (log.absolute(),),
+            config,
+            mapping,
+            seed=args.seed,
+            robot=None if args.robot is None else args.robot.absolute(),
+            formats=args.formats,
+        )
+        for log in args.logs
     ]
     folders = _folders(args.logs)
     code, done = EXIT_DONE, 0

@@ -372,7 +372,7 @@ def _diagnosis(
         **fields,
     )
     parts = {m.name: _evidence(m, answers, terms, tracker) for m in members}
-    return Diagnosis(findings, merged(parts))
+    return Diagnosis(findings, merged(parts), members[0].robot)
 
 
 def _findings(

@@ -76,6 +76,7 @@ def write_files(
             if name not in files:
                 (folder / name).unlink(missing_ok=True)
         for name, text in files.items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
             write_whole(folder / name, text.encode())
     except OSError as error:
         raise FailedError(

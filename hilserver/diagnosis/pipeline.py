@@ -4,15 +4,18 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from hilserver.daemon.assembly import assemble
+from hilserver.daemon.assembled import Assembly
+from hilserver.daemon.assembly import assemble, assemble_config
 from hilserver.diagnosis.engine import compare, diagnose, diagnose_groups
+from hilserver.diagnosis.for_others import configuration, user_files
 from hilserver.diagnosis.memory import reuse_memory
 from hilserver.diagnosis.output import documents
 from hilserver.diagnosis.progress import Report
 from hilserver.diagnosis.regression.stages import foretold
 from hilserver.diagnosis.report.summary import one_line, summary
 from hilserver.diagnosis.schema.evidence import Diagnosis
-from hilserver.errors import EXIT_DONE, LogError, UserError
+from hilserver.errors import EXIT_DONE, ConfigError, LogError, UserError
+from hilserver.exchange import DescribedRobot, read_robot
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.frames import Sampling
 from hilserver.measured.machine import machine
@@ -36,6 +39,10 @@ class Task:
     test: tuple[Path, ...] = ()
     # not empty: groups of logs of one machine, by name, instead of `logs`
     groups: tuple[tuple[str, tuple[Path, ...]], ...] = ()
+    # file of a controller, or URDF, that describes the robot in place of `config`
+    robot: Path | None = None
+    # programs whose files are written, too: keys of `exchange.FORMATS`
+    formats: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -69,7 +76,8 @@ def judge(
     ConfigError
         If the configuration cannot be used.
     """
-    assembly = assemble(task.config)
+    described = read_robot(task.robot) if task.robot else None
+    assembly = _assembled(task, described)
     sampling = Sampling.of(assembly.config)
 
     def read_in(paths: Sequence[Path], name: str = "") -> MeasuredLog:
@@ -77,6 +85,9 @@ def judge(
         if say is not None:
             begin = f"{name}: " if name else ""
             say(begin + foretold(found, machine(found, assembly.robot)))
+            if described is not None:
+                for line in described.against(found.plant):
+                    say(begin + line)
         return found
 
     if task.groups:
@@ -95,6 +106,20 @@ def judge(
     return diagnose(
         log, assembly, seed=task.seed, jobs=task.jobs, progress=progress, test=test
     )
+
+
+def _assembled(task: Task, described: DescribedRobot | None) -> Assembly:
+    """Return what is configured, with the robot that a file describes in place of its own."""
+    assembly = assemble(task.config)
+    if described is None:
+        return assembly
+    config = assembly.config.changed(
+        plant=described.plant, kinematics={"rotation_gain": described.rotation_gain}
+    )
+    try:
+        return assemble_config(config, assembly.folder)
+    except ConfigError as error:
+        raise ConfigError(f"{task.robot}: {error}") from None
 
 
 def refuse_twice(groups: Mapping[str, MeasuredLog]) -> None:
@@ -123,7 +148,9 @@ def run(
         return TaskOutcome(error.exit_code, str(error), files=files)
     except UserError as error:
         return TaskOutcome(error.exit_code, str(error))
-    found = diagnosis.findings
-    return TaskOutcome(
-        line=one_line(found), summary=summary(found), files=documents(diagnosis)
-    )
+    found, files = diagnosis.findings, documents(diagnosis)
+    if task.robot:
+        files |= configuration(read_robot(task.robot))
+    if task.formats and diagnosis.robot is not None:
+        files |= user_files(diagnosis, diagnosis.robot, task.formats)
+    return TaskOutcome(line=one_line(found), summary=summary(found), files=files)

@@ -207,3 +207,29 @@ def test_a_bad_configuration_is_exit_78(stages, tmp_path, capsys):
     (tmp_path / "config.yaml").write_text("plant: {max_rmp: 1}\n")
     assert main(["diagnose", "a.csv", "-o", "out"]) == 78
     assert "did you mean" in capsys.readouterr().err
+
+
+def test_a_program_that_nobody_writes_for_is_refused(stages, capsys):
+    with pytest.raises(SystemExit):
+        main(["diagnose", "a.csv", "--for", "gazebo", "-o", "out"])
+    assert "gazebo is none of ros2_control" in capsys.readouterr().err
+    assert not stages
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "says"),
+    [
+        (["a.csv", "--robot", "none.yaml"], 78, "none.yaml: no such file"),
+        (
+            ["--compare", "a.csv", "--against", "b.csv", "--for", "urdf"],
+            1,
+            "leave --compare",
+        ),
+    ],
+)
+def test_other_programs_and_robots_are_refused_before_any_judging(
+    stages, capsys, words, code, says
+):
+    assert main(["diagnose", *words, "-o", "out"]) == code
+    assert says in capsys.readouterr().err.splitlines()[-1]
+    assert not [stage for stage in stages if stage[0] == "judge"]

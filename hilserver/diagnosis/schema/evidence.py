@@ -13,6 +13,7 @@ from hilserver.arrays import Array, Indices
 from hilserver.config.patch import FittedIn
 from hilserver.diagnosis.schema.decisions import ScreenRow
 from hilserver.diagnosis.schema.findings import Findings, Gain, Parameter
+from hilserver.plant.parameters import RobotParameters
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,3 +150,5 @@ class Diagnosis:
 
     findings: Findings
     evidence: Evidence = field(default_factory=Evidence)
+    # the machine of the logs as it was configured; None where nothing was fitted to it
+    robot: RobotParameters | None = None

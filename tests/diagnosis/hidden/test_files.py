@@ -165,3 +165,35 @@ def test_worn_tyres_are_seen_between_two_days(folder):
         - finding.parameters["wheel_radius.a"].value,
     )
     assert abs(finding.parameters["wheel_radius.a"].value) < 0.01
+
+
+def test_the_answer_for_ros_2_starts_from_its_own_file_and_patches_it(logs, folder):
+    """The injector's robot has K_om 0.31/(0.25**2 + 0.31**2); its drive alone is judged here."""
+    own = (
+        "wheel_separation: 0.31, wheel_radius: 0.085, wheel_separation_multiplier: 1.65"
+    )
+    (folder / "own.yaml").write_text(f"base: {{ros__parameters: {{{own}}}}}")
+    words = [
+        "diagnose",
+        logs[0],
+        "--robot",
+        "own.yaml",
+        "--for",
+        "ros2_control,simulink",
+    ]
+    assert main([*words, "-o", "out"]) == 0
+
+    text = (folder / "out/for/ros2_control/real_robot.yaml").read_text()
+    assert "no place for it: coulomb_friction" in text
+    assert "wheel_separation_multiplier: 1.65" in text
+    script = (folder / "out/for/simulink/robot_parameters.m").read_text()
+    friction = float(
+        script.partition("coulomb_friction = ")[2].split(";")[0].split()[0]
+    )
+    patch = load_patch(folder / "out/model_patch.yaml")
+    assert friction == pytest.approx(patch.values["terms.coulomb_friction"], rel=1e-5)
+    configured = assemble(
+        folder / "out/for/config.yaml", folder / "out/model_patch.yaml"
+    )
+    assert configured.robot.k_om == pytest.approx(1.0 / (0.31 * 1.65))
+    assert patch.notice(configured.config.sha256) is None

@@ -9,9 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 from hilserver_injector import Noise, Recipe
 from hilserver_injector.cases import cases, twins
 
+from hilserver.diagnosis.for_others import user_files
 from hilserver.diagnosis.report.summary import summary
 from hilserver.diagnosis.schema.findings import Verdict
 from hilserver.plant.terms import TERMS, main_part
@@ -52,6 +54,24 @@ def sensors_errors(noise, horizon_s=5.0):
 
 
 SENSORS = sensors_errors(Noise())
+
+
+def test_odometry_with_the_numbers_for_the_real_robot_turns_as_it_does():
+    """The published equation of diff_drive_controller: om = (right - left)/separation."""
+    log = NAMED[0][:3]
+    found = diagnosis(*log)
+    text = user_files(found, found.robot, ("ros2_control",))[
+        "for/ros2_control/real_robot.yaml"
+    ]
+    given = yaml.safe_load(text)["diff_drive_controller"]["ros__parameters"]
+    separation_m = given["wheel_separation"] * given["wheel_separation_multiplier"]
+    _, true, _ = hidden(*log)
+    true_m = 1.0 / (found.robot.k_om * (1.0 + true))
+    (finding,) = (f for f in found.findings.findings if f.causes == ("rotation_gain",))
+    low, high = finding.parameters["rotation_gain"].ci95
+    interval = [1.0 / (found.robot.k_om * (1.0 + a)) for a in (high, low)]
+    assert interval[0] < separation_m < interval[1]
+    assert interval[0] < true_m < interval[1]
 
 
 def hidden(*log):

@@ -1,0 +1,89 @@
+"""A robot from the files of others, and one sentence for files that describe none."""
+
+import pytest
+
+from hilserver.errors import ConfigError
+from hilserver.exchange import read_robot
+from tests.exchange.robots import BURGER, HUSKY, TURTLEBOT, robot_of
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(name, text):
+        (tmp_path / name).write_text(text)
+        return tmp_path / name
+
+    return write
+
+
+def test_a_differential_drive_of_a_controllers_file(written):
+    found = read_robot(written("controllers.yaml", TURTLEBOT))
+    robot = robot_of(found)
+    assert (robot.wheel_radius_m, robot.track_m, robot.wheelbase_m) == (
+        0.033,
+        0.16,
+        None,
+    )
+    assert robot.k_om == pytest.approx(1.0 / (0.16 * 1.112))
+    assert robot.max_linear_m_s == pytest.approx(0.5)
+
+
+def test_dots_and_wildcards_of_ros_2_are_the_same_parameters(written):
+    robot = robot_of(read_robot(written("husky.yaml", HUSKY)))
+    assert robot.k_om == pytest.approx(1.0 / (0.5708 * 1.875))
+    assert robot.max_linear_m_s == pytest.approx(1.0)
+
+
+def test_wheels_of_a_urdf_stand_where_all_joints_up_to_the_base_put_them(written):
+    found = read_robot(written("burger.urdf", BURGER))
+    robot = robot_of(found)
+    assert robot.wheel_radius_m == pytest.approx(0.033)
+    assert robot.track_m == pytest.approx(0.16)
+    assert robot.k_om == pytest.approx(1.0 / 0.16)
+
+
+def test_radii_of_both_sides_may_differ(written):
+    text = BURGER.replace('radius="0.033"', 'radius="0.034"', 1)
+    found = read_robot(written("burger.urdf", text))
+    assert found.plant["wheel_radius_m"] == pytest.approx(0.0335)
+    assert found.wheel_radius_difference == pytest.approx(0.001 / 0.0335)
+
+
+def test_what_the_mapping_says_differently_is_a_line(written):
+    found = read_robot(written("controllers.yaml", TURTLEBOT))
+    (line,) = found.against({"track_m": 0.17, "wheel_radius_m": 0.033})
+    assert (
+        line
+        == "track_m is 0.17 in the mapping, which holds, and 0.16 in the robot's file"
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "says"),
+    [
+        ("a.yaml", "a: {ros__parameters: {wheelbase: 1.2}}", "no ros__parameters"),
+        ("a.yaml", "diff: {wheel_separation: 0.1, wheel_radius: 0.1}", "ros__parameters"),
+        ("a.yaml", TURTLEBOT.replace("0.033", "-1"), "must be a number above 0, not -1"),
+        ("a.yaml", TURTLEBOT.replace("0.033", "$(arg r)"), "must be a number above 0"),
+        ("a.yaml", TURTLEBOT.replace("wheel_separation:", "steering_names: [a]\n"
+         "    wheel_separation:"), "steers"),
+        ("a.urdf", BURGER.replace("cylinder length", "mesh length"), "meshes only"),
+        ("a.urdf", BURGER.replace("continuous", "fixed"), "has no wheels"),
+        ("a.urdf", BURGER.replace("0.0 0.08 ", "0.0 a "), "should be three numbers"),
+        ("a.urdf", BURGER.replace("base_footprint", "left_wheel"), "a circle"),
+        ("a.urdf", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:a/></robot>',
+         "run 'xacro a.urdf > robot.urdf'"),
+        ("a.urdf", '<!DOCTYPE r [<!ENTITY a "b">]><robot>&a;</robot>', "entities"),
+        ("a.urdf", "<sdf/>", "begins with <sdf>"),
+        ("a.urdf", "no", "is no XML"),
+        ("a.urdf.xacro", "<robot/>", "is xacro"),
+        ("a.txt", "", "end its name in .yaml or .urdf"),
+    ],
+)  # fmt: skip
+def test_a_file_that_describes_no_robot_is_one_sentence(written, name, text, says):
+    path = written(name, text)
+    with pytest.raises(ConfigError) as refused:
+        read_robot(path)
+    (line,) = str(refused.value).splitlines()
+    assert line.startswith(str(path))
+    assert says in line
