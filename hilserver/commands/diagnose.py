@@ -66,6 +66,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         " them",
     )
     parser.add_argument(
+        "--marks",
+        type=Path,
+        metavar="FILE",
+        help="where the robot was at a few times, if the log holds no pose: marks.yaml",
+    )
+    parser.add_argument(
         "--dask",
         metavar="ADDRESS",
         help="with --each: use this Dask cluster, as tcp://host:8786",
@@ -118,6 +124,7 @@ def run(args: argparse.Namespace) -> int:
         seed=args.seed,
         jobs=args.jobs,
         groups=tuple(args.group or ()),
+        marks=args.marks,
     )
     with Progress(lambda: STOPPED) as progress:
         outcome = diagnose(task, progress, lambda line: progress.say(line, sys.stderr))
@@ -159,6 +166,11 @@ def _check(args: argparse.Namespace) -> None:
         )
     if args.test and (args.compare or args.each):
         raise FailedError("--test cannot be combined with --compare or --each")
+    if args.marks and (args.compare or args.each or args.group or args.test):
+        raise FailedError(
+            "--marks cannot be combined with --compare, --each, --group or --test: its times are"
+            " those of one set of logs"
+        )
     if args.dask and not args.each:
         raise FailedError("--dask distributes many logs: use it with --each")
     if args.out.exists() and not args.out.is_dir():

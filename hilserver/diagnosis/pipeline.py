@@ -16,6 +16,7 @@ from hilserver.errors import EXIT_DONE, LogError, UserError
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.frames import Sampling
 from hilserver.measured.machine import machine
+from hilserver.measured.marks import with_marks
 from hilserver.measured.proposal import FILE as PROPOSAL
 from hilserver.measured.proposal import ForeignLog
 from hilserver.measured.reading import read_measured
@@ -36,6 +37,7 @@ class Task:
     test: tuple[Path, ...] = ()
     # not empty: groups of logs of one machine, by name, instead of `logs`
     groups: tuple[tuple[str, tuple[Path, ...]], ...] = ()
+    marks: Path | None = None  # places at known times, if `logs` hold no pose
 
 
 @dataclass(frozen=True)
@@ -86,6 +88,8 @@ def judge(
             read, assembly, seed=task.seed, jobs=task.jobs, progress=progress
         )
     log = read_in(task.logs)
+    if task.marks is not None:
+        log = with_marks(log, task.marks)
     if task.against:
         other = read_measured(task.against, task.mapping, sampling)
         return compare(
