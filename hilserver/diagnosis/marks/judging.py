@@ -169,6 +169,7 @@ def whole_runs(
 
 
 def ranges_of(stage: PoseStage) -> dict[str, tuple[float, float]]:
+    """Return the lowest and the highest speed and turn rate of the runs."""
     ahead = stage.forward_m_s()
     turn = stage.simulate({}, np.zeros((len(stage.segments), 3)))[:, 3]
     return {
@@ -178,6 +179,7 @@ def ranges_of(stage: PoseStage) -> dict[str, tuple[float, float]]:
 
 
 def notices_of(variance: float, runs: int, freedom: int) -> tuple[str, ...]:
+    """Return what a reader should know of a diagnosis by marks."""
     said = (
         f"The motion was judged by the marks of {runs} runs, {freedom} numbers besides where the"
         " runs began. Marks show what changes the place where a run ends; they cannot show lags,"
