@@ -35,6 +35,9 @@ DIMENSIONS_SHOWN: Final = (
 )
 """Dimensions of a robot, which move the place where a run ends; few numbers show no more."""
 
+WITH_HEADING: Final = frozenset({"icr_offset", "wheel_misalignment"})
+"""Without a marked heading these stand for whatever else bends a run a little."""
+
 BEYOND_MARKS: Final = (
     "marks say where the robot came to, not when or how: they show dimensions"
 )
@@ -83,15 +86,21 @@ def judge_marks(
 
     runs = MarkedRuns(stage)
     meaningless = robot.meaningless
+    headed = any(m.mark.yaw_rad is not None for m in log.marks)
     candidates = [
         c
         for c in pose_candidates(None)
-        if c.label in DIMENSIONS_SHOWN and c.cause not in meaningless
+        if c.label in DIMENSIONS_SHOWN
+        and c.cause not in meaningless
+        and (c.cause not in WITH_HEADING or headed)
     ]
     informing = np.flatnonzero(runs.freedom > 0)
     reasons = {
         n: BEYOND_MARKS for n, c in CAUSES.items() if c.physical and c.stage == "pose"
-    } | meaningless
+    }
+    if not headed:
+        reasons |= dict.fromkeys(WITH_HEADING, "no mark has a heading (yaw_rad)")
+    reasons |= meaningless
     freedom = int(runs.freedom.sum()) - len(candidates)
     if len(informing) < FEWEST_MARKED_RUNS or freedom < FEWEST_FREEDOM:
         text = (
