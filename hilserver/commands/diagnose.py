@@ -67,6 +67,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         " them",
     )
     parser.add_argument(
+        "--marks",
+        type=Path,
+        metavar="FILE",
+        help="where the robot was at a few times, if the log holds no pose: marks.yaml",
+    )
+    parser.add_argument(
         "--dask",
         metavar="ADDRESS",
         help="with --each: use this Dask cluster, as tcp://host:8786",
@@ -145,6 +151,7 @@ def run(args: argparse.Namespace) -> int:
         groups=tuple(args.group or ()),
         robot=args.robot,
         formats=args.formats,
+        marks=args.marks,
     )
     with Progress(lambda: STOPPED) as progress:
         outcome = diagnose(task, progress, lambda line: progress.say(line, sys.stderr))
@@ -188,6 +195,11 @@ def _check(args: argparse.Namespace) -> None:
         )
     if args.test and (args.compare or args.each):
         raise FailedError("--test cannot be combined with --compare or --each")
+    if args.marks and (args.compare or args.each or args.group or args.test):
+        raise FailedError(
+            "--marks cannot be combined with --compare, --each, --group or --test: its times are"
+            " those of one set of logs"
+        )
     if args.dask and not args.each:
         raise FailedError("--dask distributes many logs: use it with --each")
     if args.out.exists() and not args.out.is_dir():

@@ -5,6 +5,7 @@ The three kinds differ in what their members share.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, TypeVar
 
@@ -13,6 +14,7 @@ import numpy as np
 from hilserver import __version__
 from hilserver.compiled import kernel_hash
 from hilserver.daemon.assembly import Assembly
+from hilserver.diagnosis.catalogue.vocabulary import OF_THE_LOG
 from hilserver.diagnosis.checks.standstill import (
     at_rest,
     stood_still,
@@ -34,6 +36,7 @@ from hilserver.diagnosis.groups.shared import (
     gains_in_groups,
     smallest_in_groups,
 )
+from hilserver.diagnosis.marks.judging import ByMarks, judge_marks
 from hilserver.diagnosis.memory import one_blas_thread
 from hilserver.diagnosis.progress import Report, Tracker
 from hilserver.diagnosis.regression.gain import HORIZON_S
@@ -126,7 +129,9 @@ def judge(
         for answer, gain in zip(answers, own, strict=True)
     )
     possible = _all_of(answer.possible(HORIZON_S, rng) for answer in answers)
-    notices, patches = member.log.notices, [total]
+    marks = _by_marks(member, rng, tracker)
+    total |= marks.gain
+    notices, patches = (*member.log.notices, *marks.notices), [total]
     if test is not None:
         total, possible = _on_other_logs(member, answers, test, rng), {}
         patches.append(total)
@@ -136,17 +141,20 @@ def judge(
     alone = [j.whole is j.point for j in member.judged.values()]
     gains = [gain if one else None for gain, one in zip(own, alone, strict=True)]
     found, fitted = _collected([member], answers, rng, gains)
+    fitted |= enumerate(marks.fitted, len(found))
+    found += marks.findings
     ceiling = _all_of(ceilings(a.explained.parts[0], HORIZON_S, rng) for a in answers)
     sizes, unseen = member.smallest(rng)
     if stood_still(member.log):
         sizes, unseen = at_rest(sizes, unseen)
+    sizes += marks.smallest
     tracker.timed("gain")
     judged = {d.cause for d in sizes} | {c for f in found for c in f.causes}
-    reasons = {u.cause: u.reason for u in unseen} | member.reasons
+    reasons = {u.cause: u.reason for u in unseen} | member.reasons | marks.reasons
     reasons = vocabulary_reasons(
         judged, reasons, set(member.judged), absent(member.log), UNSEEN
     )
-    return _diagnosis(
+    judgement = _diagnosis(
         [member],
         answers,
         found,
@@ -163,6 +171,16 @@ def judge(
         not_judged=_not_judged(reasons),
         notices=notices,
     )
+    fitted_in = judgement.evidence.fitted.model_copy(update=dict(marks.ranges))
+    return replace(judgement, evidence=replace(judgement.evidence, fitted=fitted_in))
+
+
+def _by_marks(member: Member, rng: np.random.Generator, tracker: Tracker) -> ByMarks:
+    drive = member.judged.get("drive")
+    terms = {} if drive is None else drive.lasting.terms
+    marks = judge_marks(member.log, member.robot, terms, rng, tracker)
+    tracker.timed("marks")
+    return marks
 
 
 @one_blas_thread
@@ -356,7 +374,9 @@ def _diagnosis(
         Of `Findings`.
     """
     terms = extension(found, fitted) if refusal is None else ()
-    holds = bool(terms) and any(answer.model.of_the_machine for answer in answers)
+    holds = bool(terms) and any(
+        OF_THE_LOG.keys().isdisjoint(f.terms) for f in fitted.values()
+    )
     findings = _findings(
         [m.log for m in members],
         verdict=overall(found, is_judged=bool(smallest_detectable)),

@@ -19,6 +19,7 @@ from hilserver.exchange import DescribedRobot, read_robot
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.frames import Sampling
 from hilserver.measured.machine import machine
+from hilserver.measured.marks import with_marks
 from hilserver.measured.proposal import FILE as PROPOSAL
 from hilserver.measured.proposal import ForeignLog
 from hilserver.measured.reading import read_measured
@@ -43,6 +44,7 @@ class Task:
     robot: Path | None = None
     # programs whose files are written, too: keys of `exchange.FORMATS`
     formats: tuple[str, ...] = ()
+    marks: Path | None = None  # places at known times, if `logs` hold no pose
 
 
 @dataclass(frozen=True)
@@ -97,6 +99,8 @@ def judge(
             read, assembly, seed=task.seed, jobs=task.jobs, progress=progress
         )
     log = read_in(task.logs)
+    if task.marks is not None:
+        log = with_marks(log, task.marks)
     if task.against:
         other = read_measured(task.against, task.mapping, sampling)
         return compare(

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hilserver.arrays import Array, Indices
+from hilserver.measured.floor_marks import PlacedMark
 
 DIMENSIONS = {"wheel_radius_m", "track_m", "wheelbase_m"}
 
@@ -72,6 +73,8 @@ class MeasuredLog:
     limits: Mapping[str, float] = field(default_factory=dict)
     # speeds that the data checks made of angles: their steps are those of a counter
     made: frozenset[str] = frozenset()
+    # where the robot was at a few times, if nothing shows its pose all along
+    marks: tuple[PlacedMark, ...] = ()
 
     @property
     def drive_is_known(self) -> bool:
@@ -99,6 +102,14 @@ class MeasuredLog:
     def with_limits(self, limits: Mapping[str, float]) -> "MeasuredLog":
         """Return the log with the limits of some channels."""
         return replace(self, limits={**self.limits, **limits})
+
+    def with_marks(self, marks: Iterable[PlacedMark]) -> "MeasuredLog":
+        """Return the log with marks as its reference."""
+        return replace(self, marks=tuple(marks))
+
+    def noticed(self, notice: str) -> "MeasuredLog":
+        """Return the log with one more thing that a reader should know."""
+        return replace(self, notices=(*self.notices, notice))
 
     def without(self, names: Iterable[str]) -> "MeasuredLog":
         """Return the log without some channels."""

@@ -1,0 +1,254 @@
+"""What marks on the floor say about a robot: findings, gain and what they cannot show."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from hilserver.arrays import Array, Indices
+from hilserver.diagnosis.catalogue.candidate import Candidate
+from hilserver.diagnosis.catalogue.library import pose_candidates
+from hilserver.diagnosis.catalogue.vocabulary import CAUSES, unit_of
+from hilserver.diagnosis.findings.outcome import fitted_finding, parameters_of
+from hilserver.diagnosis.marks.runs import MarkedRuns, rows_of
+from hilserver.diagnosis.marks.search import (
+    BY_CHANCE,
+    FEWEST_FREEDOM,
+    FEWEST_MARKED_RUNS,
+    MarksSearch,
+    MarksTrial,
+)
+from hilserver.diagnosis.regression.stages import stages_of
+from hilserver.diagnosis.replay.model import Fitted
+from hilserver.diagnosis.replay.pose_stage import PoseStage
+from hilserver.diagnosis.schema.findings import Detectable, Finding, Gain
+from hilserver.measured.data import MeasuredLog
+from hilserver.plant.parameters import RobotParameters
+
+DIMENSIONS_SHOWN: Final = (
+    "wheel_radius",
+    "wheel_radius_difference",
+    "rotation_gain",
+    "icr_offset",
+    "wheel_misalignment",
+)
+"""Dimensions of a robot, which move the place where a run ends; few numbers show no more."""
+
+WITH_HEADING: Final = frozenset({"icr_offset", "wheel_misalignment"})
+"""Without a marked heading these stand for whatever else bends a run a little."""
+
+BEYOND_MARKS: Final = (
+    "marks say where the robot came to, not when or how: they show dimensions"
+)
+TOO_WEAK: Final = "hardly excited: the marks of these runs cannot show it"
+LARGEST_SIZE: Final = 0.5  # a size beyond which no cause of these is sought
+FOLDS: Final = 5
+DRAWS: Final = 999
+MISFIT: Final = 4.0  # variance; the marks then miss by twice their standard deviations
+
+
+@dataclass(frozen=True)
+class ByMarks:
+    """The part of a diagnosis that rests on marks."""
+
+    findings: tuple[Finding, ...] = ()
+    fitted: tuple[Fitted, ...] = ()  # of each finding
+    smallest: tuple[Detectable, ...] = ()
+    reasons: dict[str, str] = field(default_factory=dict)
+    gain: dict[str, Gain] = field(default_factory=dict)
+    notices: tuple[str, ...] = ()
+    # lowest and highest speed and turn rate of the runs
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+def judge_marks(
+    log: MeasuredLog,
+    robot: RobotParameters,
+    terms: Mapping[str, float],
+    rng: np.random.Generator,
+    report: Callable[[str, float], None],
+) -> ByMarks:
+    """Judge the motion of a robot by the marks of its log.
+
+    Parameters
+    ----------
+    terms : mapping of str to float
+        What is known of the drive, for wheels whose speeds were not measured.
+    """
+    if not log.marks:
+        return ByMarks()
+    stage = whole_runs(log, robot, terms)
+    if stage is None:
+        return ByMarks(
+            notices=("the marks are not used: no wheel speed on both sides",)
+        )
+
+    runs = MarkedRuns(stage)
+    meaningless = robot.meaningless
+    headed = any(m.mark.yaw_rad is not None for m in log.marks)
+    candidates = [
+        c
+        for c in pose_candidates(None)
+        if c.label in DIMENSIONS_SHOWN
+        and c.cause not in meaningless
+        and (c.cause not in WITH_HEADING or headed)
+    ]
+    informing = np.flatnonzero(runs.freedom > 0)
+    reasons = {
+        n: BEYOND_MARKS for n, c in CAUSES.items() if c.physical and c.stage == "pose"
+    }
+    if not headed:
+        reasons |= dict.fromkeys(WITH_HEADING, "no mark has a heading (yaw_rad)")
+    reasons |= meaningless
+    freedom = int(runs.freedom.sum()) - len(candidates)
+    if len(informing) < FEWEST_MARKED_RUNS or freedom < FEWEST_FREEDOM:
+        text = (
+            f"{len(informing)} runs with marks of more than their beginning are too few: mark the"
+            f" start and the end of {max(FEWEST_MARKED_RUNS, len(candidates))} or more"
+        )
+        few = dict.fromkeys((c.cause for c in candidates), text)
+        return ByMarks(reasons=reasons | few, notices=(text,))
+
+    search = MarksSearch(runs, candidates, informing, report)
+    return searched(search, reasons, rng)
+
+
+def searched(
+    search: MarksSearch, reasons: dict[str, str], rng: np.random.Generator
+) -> ByMarks:
+    """Return what a search finds; `reasons` lose the causes that it judges."""
+    runs, candidates, informing = search.runs, list(search.candidates), search.chosen
+    trial = search.select()
+    found = findings_by_marks(search, trial)
+    smallest = smallest_by_marks(search, trial)
+    unseen = {c.cause for c in candidates} - {one.cause for one in smallest}
+    reasons |= dict.fromkeys(unseen, TOO_WEAK)
+    for one in smallest:
+        reasons.pop(one.cause, None)
+    for finding in found:
+        for cause in finding.causes:
+            reasons.pop(cause, None)
+    return ByMarks(
+        tuple(found),
+        trial.model.fitted,
+        smallest,
+        reasons,
+        {"position_m": gain_by_marks(runs, candidates, informing, rng)},
+        notices_of(search.level(trial)[0], len(informing), int(runs.freedom.sum())),
+        ranges_of(runs.stage),
+    )
+
+
+def findings_by_marks(search: MarksSearch, trial: MarksTrial) -> list[Finding]:
+    """Return one finding per cause of a model, with the rivals that the marks leave possible."""
+    found = []
+    shown = search.limits(trial) if trial.model.fitted else np.empty((0, 2))
+    for index, (fitted, own) in enumerate(zip(trial.model.fitted, shown, strict=True)):
+        causes = [fitted.candidate.cause]
+        values = parameters_of(fitted, own[None, :])
+        for rival in search.rivals(trial, index):
+            newest = rival.model.fitted[-1]
+            causes.append(newest.candidate.cause)
+            values |= parameters_of(newest, search.limits(rival)[-1:])
+        found.append(fitted_finding(causes, values, BY_CHANCE, drifts=False))
+    return found
+
+
+def smallest_by_marks(search: MarksSearch, trial: MarksTrial) -> tuple[Detectable, ...]:
+    """Return the smallest effects that would have shown, without those that hardly show."""
+    found = []
+    for candidate in search.candidates:
+        size, unit = search.smallest(trial, candidate), unit_of(candidate.cause)
+        if size <= LARGEST_SIZE:
+            found.append(Detectable(cause=candidate.cause, size=size, unit=unit))
+    return tuple(found)
+
+
+def whole_runs(
+    log: MeasuredLog, robot: RobotParameters, terms: Mapping[str, float]
+) -> PoseStage | None:
+    """Return the replay of whole runs, if the log tells how the wheels turned."""
+    # `stages_of` makes the stage of the pose only for a channel that shows it: one heading will do
+    any_channel = next(iter(log.channels.values()))
+    at_start = any_channel.with_values(np.zeros(len(any_channel)))
+    shown = log.with_channels({"nav.yaw_rad": at_start})
+    stage = stages_of(shown, robot, drive_terms=terms).get(PoseStage.name)
+    return stage.uncut() if isinstance(stage, PoseStage) else None
+
+
+def ranges_of(stage: PoseStage) -> dict[str, tuple[float, float]]:
+    """Return the lowest and the highest speed and turn rate of the runs."""
+    ahead = stage.forward_m_s()
+    turn = stage.simulate({}, np.zeros((len(stage.segments), 3)))[:, 3]
+    return {
+        "speed_m_s": (float(ahead.min()), float(ahead.max())),
+        "turn_rate_rad_s": (float(turn.min()), float(turn.max())),
+    }
+
+
+def notices_of(variance: float, runs: int, freedom: int) -> tuple[str, ...]:
+    """Return what a reader should know of a diagnosis by marks."""
+    said = (
+        f"The motion was judged by the marks of {runs} runs, {freedom} numbers besides where the"
+        " runs began. Marks show what changes the place where a run ends; they cannot show lags,"
+        " slip and what a sensor of the pose would add."
+    )
+    if variance < MISFIT:
+        return (said,)
+    return (
+        said,
+        f"The marks scatter {np.sqrt(variance):.1f} times as much as their standard deviations"
+        " say, whatever the cause: wheels slip differently in every run, or sd_m is too small."
+        " All intervals allow for it.",
+    )
+
+
+def gain_by_marks(
+    runs: MarkedRuns,
+    candidates: list[Candidate],
+    informing: Indices,
+    rng: np.random.Generator,
+) -> Gain:
+    """Return how much nearer to the marks runs end that took no part in selection and fit."""
+    before, after, held = (
+        runs.residual({}),
+        runs.residual({}).copy(),
+        min(FOLDS, len(informing)),
+    )
+    for fold in range(held):
+        test = informing[fold::held]
+        train = np.setdiff1d(informing, test)
+        model = MarksSearch(runs, candidates, train).select().model
+        rows = rows_of(runs, test)
+        after[rows] = runs.residual(model.terms)[rows]
+    first, second = (_miss_m(runs, one)[informing] for one in (before, after))
+    mean_before, mean_after = float(first.mean()), float(second.mean())
+
+    drawn = rng.integers(0, len(first), (DRAWS, len(first)))
+    ratios = first[drawn].mean(axis=1) / np.maximum(second[drawn].mean(axis=1), 1e-12)
+    low, high = (float(q) for q in np.quantile(ratios, (0.025, 0.975)))
+    return Gain(
+        horizon_s=_lasts_s(runs),
+        before=mean_before,
+        after=mean_after,
+        ratio=mean_before / max(mean_after, 1e-12),
+        ci95=(low, high),
+    )
+
+
+def _miss_m(runs: MarkedRuns, residual: Array) -> Array:
+    """Return by how much each run misses its marks [m]: root of the mean square."""
+    places, count = runs.is_place, len(runs.marks)
+    square = np.bincount(runs.run[places], (residual * runs.sd)[places] ** 2, count)
+    return np.asarray(np.sqrt(square / np.maximum(runs.freedom, 1)))
+
+
+def _lasts_s(runs: MarkedRuns) -> float:
+    """Return how long the marks of a run are usually apart."""
+    lengths = []
+    for marks in runs.marks:
+        times = [m.t_s for m in marks]
+        times += [m.other_t_s for m in marks if m.other_t_s is not None]
+        lengths.append(max(times) - min(times))
+    return float(np.median(lengths))

@@ -1,0 +1,97 @@
+"""A file of marks on the floor, as the reference of a log without a pose."""
+
+from pathlib import Path
+from typing import Final
+
+from pydantic import Field
+
+from hilserver.config.loading import load, place
+from hilserver.config.section import Section
+from hilserver.errors import ConfigError, LogError
+from hilserver.measured.channels import GYRO, POSITION, YAW
+from hilserver.measured.data import MeasuredLog
+from hilserver.measured.floor_marks import FloorMark, PlacedMark
+
+MOST_MARKS: Final = 5000
+
+
+class MarksFile(Section):
+    """A file of marks."""
+
+    marks: tuple[FloorMark, ...] = Field(min_length=1, max_length=MOST_MARKS)
+
+
+def with_marks(log: MeasuredLog, path: Path) -> MeasuredLog:
+    """Return a log without a pose, with the marks of a file as its reference.
+
+    Raises
+    ------
+    LogError
+        If the file cannot be read, a mark does not fit the log, or the log has a pose of its own.
+    """
+    posed = next((name for name in (*POSITION, YAW) if name in log), None)
+    if posed is not None:
+        raise LogError(
+            f"{path}: the log has a pose of its own ({posed}), which shows more than marks; leave"
+            " out --marks, or leave the pose out of the mapping"
+        )
+    if not path.exists():
+        raise LogError(f"{path}: no such file; name a file of marks, as marks.yaml")
+
+    try:
+        marks = load(path, MarksFile).marks
+    except ConfigError as error:
+        raise LogError(str(error)) from None
+    placed, complaints = [], []
+    for index, mark in enumerate(marks):
+        try:
+            placed.append(PlacedMark(_run_of(log, mark), mark))
+        except ValueError as error:
+            complaints.append(f"{place(path, ('marks', index))}{error}")
+    if complaints:
+        raise LogError("\n".join(complaints[:20]))
+
+    log = log.with_marks(placed)
+    if GYRO not in log:
+        return log
+    notice = (
+        "the turn rate is not used: beside marks, the motion is judged by them alone"
+    )
+    return log.without([GYRO]).noticed(notice)
+
+
+def _run_of(log: MeasuredLog, mark: FloorMark) -> int:
+    """Return the span that contains a mark; ValueError says why none does."""
+    spans = log.spans
+    if mark.segment is not None and mark.segment not in {s.number for s in spans}:
+        numbers = f"{spans[0].number} to {spans[-1].number}"
+        raise ValueError(f"segment {mark.segment} is not in the log; it has {numbers}")
+    inside = [
+        index
+        for index, span in enumerate(spans)
+        if span.start_s <= mark.t_s <= span.end_s
+        and mark.segment in (None, span.number)
+    ]
+    if not inside:
+        first_s, last_s = min(s.start_s for s in spans), max(s.end_s for s in spans)
+        raise ValueError(
+            f"t_s {mark.t_s:g} is in no run of the log, whose times go from {first_s:g} to"
+            f" {last_s:g} s; write the time that the log has there"
+        )
+    if len(inside) > 1:
+        raise ValueError(
+            f"t_s {mark.t_s:g} is in {len(inside)} runs of the log; name one of them, as"
+            f" segment: {spans[inside[0]].number}"
+        )
+
+    span, other_s = spans[inside[0]], mark.other_t_s
+    if other_s is None:
+        return inside[0]
+    if not span.start_s <= other_s <= span.end_s:
+        raise ValueError(
+            f"the time {other_s:g} that it refers to is outside its run, which goes from"
+            f" {span.start_s:g} to {span.end_s:g} s; refer to a time of the same run"
+        )
+    if other_s == mark.t_s:
+        raise ValueError("it refers to its own time; refer to another one")
+    return inside[0]
