@@ -301,6 +301,7 @@ class OpcUa(_Source):
         from asyncua import ua
 
         while True:
+            self.said_ns = time.monotonic_ns()
             with contextlib.suppress(ua.UaStatusCodeError):  # refused, and it goes on
                 await self.say()
             await asyncio.sleep(self.every_s)

@@ -184,6 +184,8 @@ class Trials:
             self._try("engineer", "take", "ros2")
         else:
             self._try(self.source, "take")
+        # a hand has to be at rest once since the Reset
+        self._try(self.source, "rest")
         self._try(self.source, "hold")
 
     def _try(self, kind, *what):
