@@ -1,4 +1,4 @@
-"""Names of a package that need the compiler, imported on first use.
+"""Names of a package that take long to import, imported on first use.
 
 numba takes 70 MB and most of a second. A process that only watches (page, recorder, a command)
 imports the same packages as the daemon, but without numba.

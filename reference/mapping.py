@@ -1,6 +1,7 @@
 """The page of mapping files."""
 
-from hilserver.measured.mapping import ChannelMap, ColumnMap, TimeMap, builtin_mappings
+from hilserver.measured.builtin import builtin_mappings
+from hilserver.measured.mapping import ChannelMap, ColumnMap, TimeMap
 from hilserver.measured.names import known_signals, units_of
 from reference.configuration import rows_of
 

@@ -48,14 +48,19 @@ def test_what_comes_from_the_cache_needs_no_knowledge_of_types():
     assert shown == "\n"
 
 
-def test_the_daemon_compiles_for_shields_and_fmus_only_where_it_has_them():
+def test_a_run_carries_what_its_configuration_asks_for():
     rooms = {
         "hilserver.fmu.calls",
         "hilserver.fmu.exchange",
+        "hilserver.io.edge.credentials",
+        "hilserver.io.opcua_client",
+        "hilserver.io.recorder.recorder",
         "hilserver.io.shield.answer",
+        "hilserver.logs.reading",
+        "mcap",
     }
     loaded = (
-        f"import sys, hilserver.daemon.daemon; print(*{rooms} & sys.modules.keys())"
+        f"import sys, hilserver.commands.running; print(*{rooms} & sys.modules.keys())"
     )
     words = [sys.executable, "-c", loaded]
     assert (

@@ -11,7 +11,7 @@ from hilserver.core.parameters import Start
 from hilserver.daemon.assembly import Assembly
 from hilserver.faults.model import FORMS
 from hilserver.io.page.setup import OpcUaAccess, Serving, Setup
-from hilserver.measured.mapping import builtin_mappings
+from hilserver.measured.builtin import builtin_mappings
 from hilserver.opcua.access import Access
 from hilserver.opcua.settings import SECURE_POLICIES, default_application_uri
 

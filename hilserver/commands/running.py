@@ -33,7 +33,6 @@ from hilserver.errors import EXIT_DONE, FailedError
 from hilserver.faults.scenario import Play, load_scenario
 from hilserver.io.page.launch import PageBeside
 from hilserver.io.page.listening import listen, moved, url_of
-from hilserver.logs.writing import check_suffix
 from hilserver.monitoring.logging_setup import report_repeats, setup_logging
 from hilserver.monitoring.watchdog import Watchdog
 from hilserver.program import event_loop
@@ -68,6 +67,8 @@ def serve(args: argparse.Namespace, guard: Guard, announcer: Announcer) -> int:
 def _recorded(assembly: Assembly, path: Path | None) -> Assembly:
     if path is None:
         return assembly
+    from hilserver.logs.writing import check_suffix  # noqa: PLC0415 -- only where it is used
+
     check_suffix(path)
     config = assembly.config.changed(recording={"file": str(path.absolute())})
     return dataclasses.replace(assembly, config=config)

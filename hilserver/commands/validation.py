@@ -3,8 +3,6 @@
 from hilserver.commands.options import warn
 from hilserver.daemon.assembly import Assembly
 from hilserver.daemon.soundness import check_sound
-from hilserver.io.edge.credentials import credentials
-from hilserver.io.opcua_client.security import LinkSecurity
 from hilserver.io.page.listening import key_notice, tls_context
 from hilserver.opcua.server import own_certificate
 
@@ -20,9 +18,13 @@ def validate(assembly: Assembly) -> None:
         with assembly.at("opcua"):
             own_certificate(config.opcua, folder)
     for index, peer in enumerate(config.peers):
+        from hilserver.io.opcua_client.security import LinkSecurity  # noqa: PLC0415 -- only where used
+
         with assembly.at("peers", index):
             LinkSecurity(peer, config.opcua, folder)
     if config.edge.enabled:
+        from hilserver.io.edge.credentials import credentials  # noqa: PLC0415 -- likewise
+
         with assembly.at("edge"):
             credentials(config.edge, folder)
     if config.page.enabled:

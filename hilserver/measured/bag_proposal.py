@@ -10,11 +10,12 @@ import numpy as np
 
 from hilserver.errors import LogError
 from hilserver.logs.bag_messages import Bag, Topic, read_messages
+from hilserver.measured.builtin import builtin_mappings
 from hilserver.measured.candidates import Candidate, choose, has_wheels
 from hilserver.measured.channels import GYRO, IMU_YAW, NAV_X, NAV_Y, TWIST, VOLTAGE, YAW
 from hilserver.measured.evidence import samples
 from hilserver.measured.fields import Field, items_of, names_of
-from hilserver.measured.mapping import builtin_mappings, load_mapping
+from hilserver.measured.mapping import load_mapping
 from hilserver.measured.messages import Decoder, full_type
 from hilserver.measured.other_machines import refuse_other_machine
 from hilserver.measured.proposal import (

@@ -1,7 +1,6 @@
 """Mapping files: which column, or topic and field, of a foreign log is which signal."""
 
 from importlib import resources
-from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -12,6 +11,7 @@ from hilserver.config.plant import PlantConfig
 from hilserver.config.section import Section
 from hilserver.errors import ConfigError, LogError, meant
 from hilserver.logs.reading import refuse_others
+from hilserver.measured.builtin import builtin_folder, builtin_mappings
 from hilserver.measured.names import conversion, mapped_units, units_of
 
 DATED = "iso"
@@ -162,20 +162,10 @@ class LogMapping(Section):
         return factor * channel.sign * scale
 
 
-def builtin_mappings() -> tuple[str, ...]:
-    """Return the names of the mappings that come with hilserver."""
-    files = [Path(file.name) for file in _folder().iterdir()]
-    return tuple(sorted(file.stem for file in files if file.suffix == ".yaml"))
-
-
-def _folder() -> Traversable:
-    return resources.files("hilserver.measured") / "mappings"
-
-
 def load_mapping(mapping: Path | str) -> LogMapping:
     """Read a mapping file, or a built-in one by name; LogError has one line per complaint."""
     if str(mapping) in builtin_mappings():
-        with resources.as_file(_folder() / f"{mapping}.yaml") as path:
+        with resources.as_file(builtin_folder() / f"{mapping}.yaml") as path:
             return _load(path)
     path = Path(mapping)
     if not path.exists():

@@ -1,27 +1,96 @@
-"""The 6,000 standard nodes of every OPC UA server, kept on disk beside the compiled kernels.
+"""The 6,000 standard nodes of every OPC UA server, kept in the cache and read when they are needed.
 
-asyncua builds them node by node, which takes most of a server's start.
+asyncua builds them node by node, which takes most of a server's start. A server needs an eighth of
+them to start; a client that browses the types has the others read, one portion at a time.
 """
 
 import asyncio
 import contextlib
 import gc
-import os
+import io
 import pickle
-import tempfile
-from collections.abc import Iterator
+import zlib
+from collections.abc import Iterator, MutableMapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from asyncua import ua
 from asyncua.server.address_space import AttributeValue
 from asyncua.server.internal_server import InternalServer
 
-from hilserver.cache import cache_folder
+from hilserver.cache import Shelf
 
-NODES_PER_PICKLE: Final = 50
-"""Nodes per pickle: reading one keeps all its intermediates, about 100 MB for all nodes."""
+NODES_PER_PORTION: Final = 50
+"""Reading a portion takes a millisecond or two of the event loop."""
+
+SHELF: Final = "opcua"
+"""Folder of the cache."""
+
+
+class Portion(NamedTuple):
+    """Some of the standard nodes, as they are kept."""
+
+    node_ids: tuple[tuple[int, Any], ...]  # namespace index and identifier of each
+    nodes: bytes  # a dict, pickled and compressed
+
+
+class Nodes(MutableMapping[ua.NodeId, Any]):
+    """The nodes of an address space; standard ones are read when somebody asks for them.
+
+    Parameters
+    ----------
+    portions : sequence of Portion
+        What is not read yet.
+    """
+
+    def __init__(self, portions: Sequence[Portion]) -> None:
+        self._read: dict[ua.NodeId, Any] = {}
+        self._unread = dict(enumerate(portions))
+        self._portion_of = {
+            node_id: number
+            for number, portion in self._unread.items()
+            for node_id in portion.node_ids
+        }
+
+    @property
+    def n_unread(self) -> int:
+        """Number of portions that nobody has asked for."""
+        return len(self._unread)
+
+    def __getitem__(self, node_id: ua.NodeId) -> Any:
+        try:
+            return self._read[node_id]
+        except KeyError:
+            number = self._portion_of.get((node_id.NamespaceIndex, node_id.Identifier))
+            if number not in self._unread:
+                raise
+        self._take(number)
+        return self._read[node_id]
+
+    def __setitem__(self, node_id: ua.NodeId, node: Any) -> None:
+        self._read[node_id] = node
+
+    def __delitem__(self, node_id: ua.NodeId) -> None:
+        self[node_id]  # otherwise it would come back with its portion
+        del self._read[node_id]
+
+    def __iter__(self) -> Iterator[ua.NodeId]:
+        self._take_all()
+        return iter(self._read)
+
+    def __len__(self) -> int:
+        self._take_all()
+        return len(self._read)
+
+    def _take_all(self) -> None:
+        for number in list(self._unread):
+            self._take(number)
+
+    def _take(self, number: int) -> None:
+        portion = zlib.decompress(self._unread.pop(number).nodes)
+        for node_id, node in pickle.loads(portion).items():  # noqa: S301 - our own file in our own folder
+            self._read.setdefault(node_id, node)
 
 
 class QuickInternalServer(InternalServer):  # type: ignore[misc]
@@ -29,40 +98,32 @@ class QuickInternalServer(InternalServer):  # type: ignore[misc]
 
     async def load_standard_address_space(self, shelf_file: Path | None = None) -> None:
         """Fill the address space; `shelf_file` is where asyncua itself would keep the nodes."""
-        path = nodes_file()
+        shelf, name = Shelf(SHELF), f"standard_nodes-{version('asyncua')}.pickle"
+        kept = shelf.get(name)
+        if kept is not None:
+            self.aspace._nodes = Nodes(pickle.loads(kept))  # noqa: S301 - whole, and our own
+            return
         with _no_collection():
-            if not await asyncio.to_thread(self._read, path):
-                await super().load_standard_address_space(shelf_file)
-                _share(self.aspace._nodes)
-                await asyncio.to_thread(self._write, path)
-
-    def _read(self, path: Path) -> bool:
-        nodes = self.aspace._nodes
-        try:
-            with path.open("rb") as file:
-                while file.peek(1):
-                    nodes.update(pickle.load(file))  # noqa: S301 - our own file in our own folder
-        except Exception:  # noqa: BLE001 - a damaged file may raise anything; it is written anew
-            nodes.clear()
-        return bool(nodes)
-
-    def _write(self, path: Path) -> None:
-        nodes = list(self.aspace._nodes.items())
-        # Complete or absent: other processes may start at the same moment.
-        with contextlib.suppress(OSError):
-            handle, unfinished = tempfile.mkstemp(dir=path.parent)
-            try:
-                with os.fdopen(handle, "wb") as file:
-                    for first in range(0, len(nodes), NODES_PER_PICKLE):
-                        _Pickler(file, -1).dump(nodes[first : first + NODES_PER_PICKLE])
-                Path(unfinished).replace(path)
-            except OSError:
-                Path(unfinished).unlink(missing_ok=True)
+            await super().load_standard_address_space(shelf_file)
+            _share(self.aspace._nodes)
+            portions = await asyncio.to_thread(_portions, self.aspace._nodes)
+            shelf.put(name, pickle.dumps(portions, -1))
 
 
-def nodes_file() -> Path:
-    """Return the file of the nodes of this version of asyncua."""
-    return cache_folder("opcua") / f"shared_nodes-{version('asyncua')}.pickles"
+def _portions(nodes: dict[ua.NodeId, Any]) -> list[Portion]:
+    every = list(nodes.items())
+    portions = []
+    for first in range(0, len(every), NODES_PER_PORTION):
+        some = dict(every[first : first + NODES_PER_PORTION])
+        pickled = io.BytesIO()
+        _Pickler(pickled, -1).dump(some)
+        portions.append(
+            Portion(
+                tuple((key.NamespaceIndex, key.Identifier) for key in some),
+                zlib.compress(pickled.getvalue()),
+            )
+        )
+    return portions
 
 
 class _Pickler(pickle.Pickler):

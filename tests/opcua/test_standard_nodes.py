@@ -6,8 +6,11 @@ import tracemalloc
 import pytest
 from asyncua import ua
 
-from hilserver.opcua import standard_nodes
-from hilserver.opcua.standard_nodes import QuickInternalServer, nodes_file
+from hilserver.opcua.server import HardenedServer
+from hilserver.opcua.standard_nodes import QuickInternalServer
+
+ROOT, TYPES = ua.NodeId(ua.ObjectIds.RootFolder), ua.NodeId(ua.ObjectIds.TypesFolder)
+PROGRAM = ua.NodeId(ua.ObjectIds.ProgramStateMachineType)
 
 
 def described(server):
@@ -32,26 +35,62 @@ def built(tmp_path_factory):
     """What asyncua builds, and what is written of it."""
     folder = tmp_path_factory.mktemp("built")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(standard_nodes, "cache_folder", lambda _: folder)
-        return described(asyncio.run(loaded())), nodes_file().read_bytes()
+        patch.setenv("HILSERVER_CACHE_DIR", str(folder))
+        nodes = described(asyncio.run(loaded()))
+    (file,) = (folder / "opcua").iterdir()
+    return nodes, file.name, file.read_bytes()
 
 
 @pytest.fixture(autouse=True)
-def cache(built, tmp_path, monkeypatch):
-    monkeypatch.setattr(standard_nodes, "cache_folder", lambda _: tmp_path)
-    nodes_file().write_bytes(built[1])
+def file(built, tmp_path, monkeypatch):
+    """What was written, in a cache of the test's own."""
+    monkeypatch.setenv("HILSERVER_CACHE_DIR", str(tmp_path))
+    file = tmp_path / "opcua" / built[1]
+    file.parent.mkdir()
+    file.write_bytes(built[2])
+    return file
 
 
 async def test_what_is_read_is_what_asyncua_builds(built):
     tracemalloc.start()
     try:
         read = await loaded()
+        described_read = len(read.aspace._nodes)
         kept, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert len(built[0]) > 5000
+    assert described_read == len(built[0]) > 5000
     assert described(read) == built[0]
     assert peak < 1.2 * kept  # in one piece it took three times of what stays
+
+
+async def test_a_start_reads_only_what_it_needs():
+    server = HardenedServer()
+    await server.init()
+    nodes = server.iserver.aspace._nodes
+    unread = nodes.n_unread
+    assert unread > 60
+    # what a client asks for is there all the same, one portion at a time
+    name = nodes[PROGRAM].attributes[ua.AttributeIds.BrowseName].value.Value.Value.Name
+    assert name == "ProgramStateMachineType"
+    assert nodes.n_unread == unread - 1
+    assert len(nodes) > 5000
+    assert nodes.n_unread == 0
+
+
+async def test_a_node_is_what_was_last_done_to_it_whenever_its_portion_is_read():
+    nodes = (await loaded()).aspace._nodes
+    other = object()
+    nodes[ROOT] = other
+    del nodes[TYPES]
+    assert nodes[ua.NodeId(ua.ObjectIds.ObjectsFolder)] is not other
+    assert nodes[ROOT] is other
+    assert TYPES not in nodes
+    assert nodes.get(TYPES) is None
+    with pytest.raises(KeyError):
+        nodes[ua.NodeId("ours", 2)]
+    assert ROOT in [*nodes]
+    assert TYPES not in [*nodes]
 
 
 async def test_equal_attributes_take_memory_once_and_values_of_variables_are_their_own():
@@ -67,16 +106,21 @@ async def test_equal_attributes_take_memory_once_and_values_of_variables_are_the
     assert len(set(values)) == len(values) > 1000
 
 
-async def test_a_damaged_file_is_written_anew(built):
-    nodes_file().write_bytes(built[1][:-100])
+async def test_a_damaged_file_is_written_anew(built, file):
+    file.write_bytes(built[2][:-100])
     assert described(await loaded()) == built[0]
-    assert nodes_file().read_bytes() == built[1]
+    assert file.read_bytes() == built[2]
 
 
 async def test_a_folder_that_cannot_be_written_costs_only_time(
     built, tmp_path, monkeypatch
 ):
-    nodes_file().unlink()
-    monkeypatch.setattr(standard_nodes, "cache_folder", lambda _: tmp_path / "missing")
+    for name in ("HILSERVER_CACHE_DIR", "TMPDIR"):
+        (tmp_path / name).write_text("", encoding="ascii")
+        monkeypatch.setenv(name, str(tmp_path / name))
     assert described(await loaded()) == built[0]
-    assert list(tmp_path.iterdir()) == []
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "opcua",
+        "HILSERVER_CACHE_DIR",
+        "TMPDIR",
+    }

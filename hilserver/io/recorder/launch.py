@@ -13,8 +13,6 @@ import structlog
 
 from hilserver.config.recording import RecordingConfig
 from hilserver.errors import FailedError
-from hilserver.io.recorder.recorder import Recorder
-from hilserver.io.recorder.series import Settings
 from hilserver.program import children
 from hilserver.program.guard import allow
 from hilserver.tasks import SupervisedTask, Supervisor
@@ -90,6 +88,9 @@ def recorder_inside(
     In virtual time no other process could keep up. Here time waits: no frame is lost. `tell` is
     called with the reason once nothing more can be written. FailedError if the file cannot be made.
     """
+    from hilserver.io.recorder.recorder import Recorder  # noqa: PLC0415 -- what else runs beside it
+    from hilserver.io.recorder.series import Settings  # noqa: PLC0415 -- likewise
+
     is_reported = False
     recorder = Recorder(
         image,

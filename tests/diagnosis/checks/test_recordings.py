@@ -5,8 +5,9 @@ from pathlib import Path
 import pytest
 
 from hilserver.diagnosis.checks import check
+from hilserver.measured.builtin import builtin_mappings
 from hilserver.measured.machine import machine
-from hilserver.measured.mapping import builtin_mappings, load_mapping
+from hilserver.measured.mapping import load_mapping
 from hilserver.measured.reading import read_measured
 from hilserver.plant.parameters import RobotParameters
 from tests.helpers.recordings import recording
