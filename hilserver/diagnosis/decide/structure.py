@@ -9,7 +9,13 @@ from hilserver.arrays import Array
 from hilserver.diagnosis.decide.unknown import Family
 from hilserver.diagnosis.regression.columns import RIDGE
 from hilserver.diagnosis.regression.fitting import fit_without
-from hilserver.diagnosis.regression.linear import orthogonal, saved, scaled
+from hilserver.diagnosis.regression.linear import (
+    cosine,
+    orthogonal,
+    ridge,
+    saved,
+    scaled,
+)
 from hilserver.diagnosis.regression.problem import Point, Problem, apart
 from hilserver.diagnosis.regression.screen import (
     Blocks,
@@ -25,6 +31,7 @@ from hilserver.diagnosis.thresholds import (
     GROSS,
     INEXACT,
     LEAST_USEFUL,
+    LEFT_SHARE,
     OUTLIER_SD,
     REST_LEAST_GAIN,
     REST_LEVEL,
@@ -110,12 +117,13 @@ def remaining(
 
 
 class Imitation:
-    """The accepted cause that a column of unknown structure most clearly outdoes.
+    """The accepted cause that columns of unknown structure most clearly outdo.
 
     Compared on blocks that neither was fitted to, without what the other causes explain. Only
-    columns that could stand in its place count: others explain something else, which may well be
-    more. A column that is slightly better may be a twin of the cause, since it is linear and the
-    form of the cause exact. One cause at a time: without it, the next may be needed.
+    columns that could stand in its place count: those like it, and those beside which nothing is
+    left for it to explain. Others explain something else, which may well be more. A column that is
+    slightly better may be a twin of the cause, since it is linear and the form of the cause exact.
+    One cause at a time: without it, the next may be needed.
     """
 
     def __init__(self, problem: Problem, point: Point) -> None:
@@ -153,31 +161,54 @@ def imitated(problem: Problem, point: Point, families: Iterable[Family]) -> int 
 def _better(
     problem: Problem, white: Array, point: Point, accepted: Array, index: int
 ) -> float:
-    """Return by how much one of a family's columns explains more in place of a cause; or 0."""
+    """Return by how much a family's columns explain more in place of a cause; or 0.
+
+    As many as the cause has parameters: a wave needs two, whatever its phase.
+    """
     others, own = apart(point, accepted, index)
     target = orthogonal(point.left + own, others)
     effect = orthogonal(own[:, None], others)
     columns = orthogonal(white, others)
     squares = (columns**2).sum(axis=0)
-    usable = squares > 1e-4 * (white**2).sum(axis=0) + 1e-12
-    length = np.sqrt(squares * float((effect**2).sum())) + 1e-300
-    usable &= np.abs(columns.T @ effect)[:, 0] / length > RIVAL_COSINE
-    if not usable.any():
+    columns = columns[:, squares > 1e-4 * (white**2).sum(axis=0) + 1e-12]
+    if not columns.shape[1]:
         return 0.0
-    more = _saved_held_out(problem, columns[:, usable], target)
-    explained = float(_saved_held_out(problem, effect, target)[0])
-    better = float(more.max()) - explained * (1.0 + INEXACT) - REST_LEAST_GAIN
-    return max(better, 0.0)
+
+    explained = saved_held_out(problem, effect, target)
+    alike = [c for c in columns.T if cosine(c, effect[:, 0]) > RIVAL_COSINE]
+    most = max(
+        (saved_held_out(problem, c[:, None], target) for c in alike), default=0.0
+    )
+
+    together = _strongest(columns, target, len(point.model.fitted[index].theta))
+    both = saved_held_out(problem, together, target)
+    beside = saved_held_out(problem, np.column_stack([together, effect]), target) - both
+    if beside < LEFT_SHARE * explained:
+        most = max(most, both)
+    return max(most - explained * (1.0 + INEXACT) - REST_LEAST_GAIN, 0.0)
 
 
-def _saved_held_out(problem: Problem, columns: Array, target: Array) -> Array:
-    """Return the deviance that each column alone saves on blocks it was not fitted to."""
-    fold, total = problem.stack.fold[problem.stack.block], np.zeros(columns.shape[1])
+def _strongest(columns: Array, target: Array, count: int) -> Array:
+    """Return the columns that explain most of a target, each beside those before it."""
+    chosen: list[int] = []
+    for _ in range(min(count, columns.shape[1])):
+        taken = columns[:, chosen]
+        left = orthogonal(columns, taken)
+        length = np.sqrt((left**2).sum(axis=0))
+        new = length > 1e-3 * np.sqrt((columns**2).sum(axis=0))
+        along = np.abs(left.T @ orthogonal(target, taken)) / (length + 1e-300)
+        chosen.append(int(np.argmax(np.where(new, along, -1.0))))
+    return columns[:, chosen]
+
+
+def saved_held_out(problem: Problem, columns: Array, target: Array) -> float:
+    """Return the deviance that columns together save on blocks they were not fitted to."""
+    fold, total = problem.stack.fold[problem.stack.block], 0.0
     for test in (0, 1):
-        a, b = columns[fold != test], target[fold != test]
-        size = (a.T @ b) / ((a**2).sum(axis=0) + 1e-300)
-        a, b = columns[fold == test], target[fold == test]
-        total += 2.0 * size * (a.T @ b) - size**2 * (a**2).sum(axis=0)
+        size = ridge(columns[fold != test], target[fold != test])
+        aim = target[fold == test]
+        rest = aim - columns[fold == test] @ size
+        total += float(aim @ aim - rest @ rest)
     return total
 
 

@@ -108,18 +108,31 @@ def structure_instead(better):
 
 
 def substitute(cosine):
-    """A column that explains far more, by how much it is like the cause."""
+    """A column that explains more and leaves something to the cause, by how alike they are."""
     rng = np.random.default_rng(5)
     own, other = rng.normal(size=(2, N))
     other -= own * float(other @ own) / float(own @ own)
     other *= np.sqrt(float(own @ own) / float(other @ other))
-    values = 10.0 * (cosine * own + np.sqrt(1.0 - cosine**2) * other)
-    problem = toy.problem(values, {"a": own})
+    column = 10.0 * (cosine * own + np.sqrt(1.0 - cosine**2) * other)
+    problem = toy.problem(column + 5.0 * own, {"a": own})
     point = fit(problem, toy.model("a"), problem.point(Model(), NONE))
-    return (
-        structure.imitated(problem, point, [Family("t", ("t_s",), values[:, None])])
-        is not None
-    )
+    family = Family("t", ("t_s",), column[:, None])
+    return structure.imitated(problem, point, [family]) is not None
+
+
+def superfluous(share):
+    """A column that explains far more but is not like a cause, by what that explains beside it."""
+    rng = np.random.default_rng(6)
+    own, other = rng.normal(size=(2, N))
+    other -= own * float(other @ own) / float(own @ own)
+    other *= np.sqrt(float(own @ own) / float(other @ other))
+    column = 0.5 * own + np.sqrt(0.75) * other
+    # the cause is left with 0.75 of its square beside the column, and has (0.5 + left)^2 alone
+    left = np.sqrt(share) * 5.0 / (np.sqrt(0.75) - np.sqrt(share))
+    problem = toy.problem(10.0 * column + left * own, {"a": own})
+    point = fit(problem, toy.model("a"), problem.point(Model(), NONE))
+    family = Family("t", ("t_s",), column[:, None])
+    return structure.imitated(problem, point, [family]) is not None
 
 
 def possible(beyond_sd=0.0, beyond_share=0.0):
@@ -235,6 +248,9 @@ def dominates(times):
             id="REST_LEAST_GAIN instead",
         ),
         pytest.param(substitute, MORE * at.RIVAL_COSINE, LESS * at.RIVAL_COSINE, id="substitute"),
+        pytest.param(
+            superfluous, 0.5 * at.LEFT_SHARE, 2.0 * at.LEFT_SHARE, id="LEFT_SHARE beside"
+        ),
         pytest.param(
             lambda sd: possible(beyond_sd=sd), 0.5 * at.FAR_SD, 2.0 * at.FAR_SD, id="FAR_SD"
         ),

@@ -1,5 +1,7 @@
 """Selection, twins, drift and the smallest effect, on a regression whose truth is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -253,6 +255,34 @@ def test_a_cause_yields_to_a_column_of_unknown_structure_that_explains_more():
             base = problem.point(Model(), np.zeros((0, 3)))
             point = fit(problem, toy.model("named"), base)
             assert imitated(problem, point, [aside, history]) == wanted
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.25 * np.pi])
+def test_an_error_of_one_sensor_yields_to_a_motion_that_all_of_them_see(phase):
+    """A cable pulled the robot round, and the heading alone was named as wrong.
+
+    Both are waves, of two columns whatever the phase; the heading has a quarter of the samples.
+    """
+    rng = np.random.default_rng(9)
+    waves = np.stack([toy.smooth(rng, N), toy.smooth(rng, N)], axis=1)
+    is_heading = np.arange(N) % 4 == 0
+    columns = dict(zip("cs", np.where(is_heading, waves.T, 0.0), strict=True))
+    one = toy.candidate("heading")
+    wave = replace(
+        one,
+        terms=lambda theta: dict(zip("cs", theta, strict=True)),
+        **{
+            name: 2 * getattr(one, name)
+            for name in ("start", "null", "step", "low", "high")
+        },
+    )
+    family = Family("heading", ("nav.yaw_rad",), waves)
+    motion = 15.0 * waves @ [np.cos(phase), np.sin(phase)]
+    for values, wanted in ((motion, 0), (np.where(is_heading, motion, 0.0), None)):
+        problem = toy.problem(values + rng.normal(size=N), columns)
+        base = problem.point(Model(), np.zeros((0, 3)))
+        point = fit(problem, Model().plus(wave, wave.start), base)
+        assert imitated(problem, point, [family]) == wanted
 
 
 def test_a_column_that_explains_only_what_it_was_fitted_to_puts_no_cause_in_doubt():

@@ -56,7 +56,7 @@ def nothing_is_replaced_by_what_shows_in_one_block():
     """What is fitted to one block says nothing of the others, so it saves nothing there."""
     made = drawn(6)
     own = (made.stack.block == 0).astype(float)
-    saved = structure._saved_held_out(made, own[:, None], 5.0 * own)
+    saved = structure.saved_held_out(made, own[:, None], 5.0 * own)
     assert saved == pytest.approx(0.0), "saved in the block that it was fitted to"
 
 
@@ -101,9 +101,9 @@ def a_fit_follows_the_curve():
             id="censoring off",
         ),
         pytest.param(
-            structure._saved_held_out,
-            "a, b = columns[fold != test], target[fold != test]",
-            "a, b = columns, target",
+            structure.saved_held_out,
+            "size = ridge(columns[fold != test], target[fold != test])",
+            "size = ridge(columns, target)",
             nothing_is_replaced_by_what_shows_in_one_block,
             "block that it was fitted to",
             id="removals without held-out blocks",
