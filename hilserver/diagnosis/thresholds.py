@@ -155,8 +155,10 @@ DOMINANCE: Final = 4.0  # times what structure explains; less leaves a cause in 
 EFFECTIVE_BLOCKS: Final = 8  # fewer show no gain
 # of the paired test of its gain over the blocks, one-sided
 EFFECTIVE_LEVEL: Final = 0.01
-ONE_SIZE: Final = 0.05  # p of Cochran's Q below which its size differs along the log
-# parts of the log in which it must have one size: enough to see a change of half a log, and each of
+# p of Cochran's Q below which its size differs along the log; then, of the prediction interval of
+# one more part of the log, which must not hold zero
+ONE_SIZE: Final = 0.05
+# parts of the log whose sizes are compared: enough to see a change of half a log, and each of
 # several blocks, without which the scatter inside a part is not known
 STRETCHES: Final = 8
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from hilserver.arrays import Array
-from hilserver.diagnosis.decide.effective import has_one_size, same_sign
+from hilserver.diagnosis.decide.effective import recurs, same_sign
 from hilserver.diagnosis.decide.predicting import halfway
 from hilserver.diagnosis.decide.promise import falls
 from hilserver.diagnosis.decide.revision import JudgedStage, revised
@@ -70,8 +70,8 @@ def confirmed(j: JudgedStage, halves: Halves, configured: Array) -> JudgedStage:
             continue
         if not _is_found(f, halves):
             why = "one half of the log does not find it"
-        elif not has_one_size(problem, j.point, index):
-            why = "its size changes along the log"
+        elif not recurs(problem, j.point, index):
+            why = "another part of the log may not show it"
         elif not _gains(index, whole):
             why = "it gains nothing where it was not fitted"
         if why is not None:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hilserver.diagnosis.decide.effective import has_one_size, same_sign
+from hilserver.diagnosis.decide.effective import recurs, same_sign
 from hilserver.diagnosis.decide.revision import revised
 from hilserver.diagnosis.decide.selection import select
 from hilserver.diagnosis.findings.nested import answers_of, confirmed
@@ -88,13 +88,16 @@ def test_what_no_machine_has_is_not_effective(how):
     assert j.point.model.causes == ()
 
 
-@pytest.mark.parametrize(("other", "is_one"), [(1.0, True), (1.3, False)])
-def test_the_size_must_not_change_along_the_log(other, is_one):
+@pytest.mark.parametrize(
+    ("other", "is_sure"), [(1.0, True), (1.3, True), (0.2, False), (-0.5, False)]
+)
+def test_another_part_of_the_log_must_show_it_with_the_same_sign(other, is_sure):
+    """On a real floor a turn gain differs from part to part, and gains in each."""
     values, column = drawn(1.0, 0.0)
     values[N // 2 :] += (other - 1.0) * column[N // 2 :]
     problem = toy.problem(values, {CAUSE: column})
     _, base = toy.library(problem)
-    assert has_one_size(problem, fit(problem, toy.model(CAUSE), base), 0) == is_one
+    assert recurs(problem, fit(problem, toy.model(CAUSE), base), 0) == is_sure
 
 
 def test_an_item_that_one_half_does_not_find_has_no_claim():
