@@ -100,6 +100,12 @@ STILL_RPM: Final = 1.0  # rpm: below, a wheel is at rest except for its noise
 # share of steps against the previous one, in a channel with noise
 ALTERNATING: Final = 0.35
 
+# Wheel speeds made of counts
+MOST_COUNTS: Final = 100  # usual between two samples; what more miss is negligible
+FEWEST_COUNTS: Final = 5  # different ones; fewer are a few speeds rather than counts
+# autocorrelation at one sample, -0.5 if the next sample has what one misses, -0.2 if none has
+TELESCOPES: Final = -0.35
+
 # Noise of a channel
 # s: what is correlated for longer is misfit; segments all shorter show no correlation
 NOISE_TAU_MAX_S: Final = 5.0
