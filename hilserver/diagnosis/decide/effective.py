@@ -15,7 +15,7 @@ import numpy as np
 from scipy import stats
 
 from hilserver.diagnosis.decide.promise import ModelExchange
-from hilserver.diagnosis.decide.trial import at_bound, implausible, wald, worth_a_name
+from hilserver.diagnosis.decide.trial import at_bound, implausible, wald
 from hilserver.diagnosis.regression.fitting import fit_without
 from hilserver.diagnosis.regression.linear import orthogonal
 from hilserver.diagnosis.regression.problem import Point, Problem, apart
@@ -78,7 +78,7 @@ def _earns(problem: Problem, whole: Point, index: int, limit: float) -> bool:
         The deviate that an effect must exceed, as for a name.
     """
     f = whole.model.fitted[index]
-    if at_bound(f) or implausible(f) or not worth_a_name(f):
+    if at_bound(f) or implausible(f):
         return False
     if wald(problem, whole, index) <= limit:
         return False
