@@ -28,7 +28,7 @@ from hilserver.diagnosis.findings.ceiling import ceilings
 from hilserver.diagnosis.findings.estimate import joint
 from hilserver.diagnosis.findings.explain import explain_finding, of_two_wheels
 from hilserver.diagnosis.findings.nested import answers_of
-from hilserver.diagnosis.findings.other_logs import gain_on
+from hilserver.diagnosis.findings.other_logs import OtherLogs, a_rung_lower
 from hilserver.diagnosis.findings.outcome import extension, other_findings, worsened
 from hilserver.diagnosis.findings.worth import StageAnswer
 from hilserver.diagnosis.groups.shared import (
@@ -63,6 +63,7 @@ from hilserver.plant.parameters import RobotParameters
 
 T = TypeVar("T")
 
+UNCONFIRMED = "has no name: on the other logs no error is clearly smaller for it"
 HALVES = "repeating the selection on each half of the log"
 
 
@@ -133,10 +134,14 @@ def judge(
     total |= marks.gain
     notices, patches = (*member.log.notices, *marks.notices), [total]
     if test is not None:
-        total, possible = _on_other_logs(member, answers, test, rng), {}
+        others, possible = _other_logs(member, answers, test), {}
+        total = others.gains(rng, of_patch=True)
         patches.append(total)
+        lost = others.unconfirmed(rng)
+        answers = [a_rung_lower(answer, lost) for answer in answers]
         files = ", ".join(s.file for s in test.sources)
-        notices = (*notices, *test.notices, f"{ON_OTHER_LOGS}{files}")
+        doubts = (f"{cause} {UNCONFIRMED}" for cause in sorted(lost))
+        notices = (*notices, *test.notices, f"{ON_OTHER_LOGS}{files}", *doubts)
     # the gain of all that predicts is that of a single cause if nothing else predicts
     alone = [j.whole is j.point for j in member.judged.values()]
     gains = [gain if one else None for gain, one in zip(own, alone, strict=True)]
@@ -289,16 +294,13 @@ def _of_both(first: Sequence[Finding], second: Sequence[Finding]) -> list[Findin
     return found
 
 
-def _on_other_logs(
-    member: Member,
-    answers: Sequence[StageAnswer],
-    test: MeasuredLog,
-    rng: np.random.Generator,
-) -> dict[str, Gain]:
-    """Return the gain of the patch on other logs."""
+def _other_logs(
+    member: Member, answers: Sequence[StageAnswer], test: MeasuredLog
+) -> OtherLogs:
+    """Return other logs by which the patch is judged."""
     log = one_topic.checked(test, member.robot).log
     patch = {stage: a.model for stage, a in zip(member.judged, answers, strict=True)}
-    return gain_on(log, member.robot, patch, HORIZON_S, rng, of_patch=True)
+    return OtherLogs.of(log, member.robot, patch, HORIZON_S)
 
 
 def _collected(

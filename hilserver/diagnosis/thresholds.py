@@ -100,6 +100,12 @@ STILL_RPM: Final = 1.0  # rpm: below, a wheel is at rest except for its noise
 # share of steps against the previous one, in a channel with noise
 ALTERNATING: Final = 0.35
 
+# Wheel speeds made of counts
+MOST_COUNTS: Final = 100  # usual between two samples; what more miss is negligible
+FEWEST_COUNTS: Final = 5  # different ones; fewer are a few speeds rather than counts
+# autocorrelation at one sample, -0.5 if the next sample has what one misses, -0.2 if none has
+TELESCOPES: Final = -0.35
+
 # Noise of a channel
 # s: what is correlated for longer is misfit; segments all shorter show no correlation
 NOISE_TAU_MAX_S: Final = 5.0
@@ -155,8 +161,10 @@ DOMINANCE: Final = 4.0  # times what structure explains; less leaves a cause in 
 EFFECTIVE_BLOCKS: Final = 8  # fewer show no gain
 # of the paired test of its gain over the blocks, one-sided
 EFFECTIVE_LEVEL: Final = 0.01
-ONE_SIZE: Final = 0.05  # p of Cochran's Q below which its size differs along the log
-# parts of the log in which it must have one size: enough to see a change of half a log, and each of
+# p of Cochran's Q below which its size differs along the log; then, of the prediction interval of
+# one more part of the log, which must not hold zero
+ONE_SIZE: Final = 0.05
+# parts of the log whose sizes are compared: enough to see a change of half a log, and each of
 # several blocks, without which the scatter inside a part is not known
 STRETCHES: Final = 8
 

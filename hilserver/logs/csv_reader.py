@@ -254,7 +254,8 @@ def _begin(
     if header[:1] and header[0].startswith(NO_NAME):
         raise LogError(
             f"{path}: row 1 begins with {header[0][:4]!r}; the header must be the first row and"
-            " begin with the name of a column: remove everything before it"
+            " begin with the name of a column: remove everything before it, or write the names if"
+            " there are none"
         )
     if all(_is_number(name or "0") for name in header):
         raise LogError(

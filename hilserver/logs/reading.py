@@ -35,7 +35,8 @@ def read_log(path: Path, known: Container[str] | None = None) -> Log:
     if not path.exists():
         raise LogError(f"{path}: no such file or folder")
     raise LogError(
-        f"{path}: not a readable log; supported are .csv, .mcap, bags and .mf4"
+        f"{path}: not a readable log; supported are .csv, .mcap, bags and .mf4; a table of text"
+        " is read as well if its name ends in .csv"
     )
 
 

@@ -29,18 +29,24 @@ def series_of(
     nav_late_s : float
         By how much the stamps of the navigation are late compared with those of the wheels.
     """
-    file = log.sources[0].file
+    file, number = log.sources[0].file, log.spans[span].number
     sides: list[list[str]] = []
     for side in (SPEEDS[:N_LEFT], SPEEDS[N_LEFT:]):
-        there = [name for name in side if name in log]
-        if not there:
+        recorded = [name for name in side if name in log]
+        if not recorded:
             raise LogError(
                 f"{file}: contains no speed for the wheels {', '.join(side)}; the"
                 " observer needs both sides: map their columns"
             )
+        there = [name for name in recorded if len(log[name].of(span)[0])]
+        if not there:
+            raise LogError(
+                f"{file}: segment {number} contains no sample of {', '.join(recorded)};"
+                " the observer needs both sides: leave the segment out"
+            )
         if robot.is_mecanum and len(there) < len(side):
             raise LogError(
-                f"{file}: contains only the speed of {there[0]} of the wheels"
+                f"{file}: segment {number} contains only the speed of {there[0]} of the wheels"
                 f" {', '.join(side)}; mecanum wheels move the robot sideways: map all columns"
             )
         sides.append(there)

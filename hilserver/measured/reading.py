@@ -166,7 +166,8 @@ def _by_kind(
         )
     if path.suffix not in (".csv", ".parquet"):
         raise LogError(
-            f"{path}: not a readable table; supported are .csv and .parquet, uncompressed"
+            f"{path}: not a readable table; supported are .csv and .parquet, uncompressed; a table"
+            " of text is read as well if its name ends in .csv"
         )
     return read_mapped(path, mapping)
 

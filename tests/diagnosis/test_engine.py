@@ -12,7 +12,7 @@ from hilserver.diagnosis.checks.support import data_fault
 from hilserver.diagnosis.engine import diagnose
 from hilserver.diagnosis.findings.nested import answers_of
 from hilserver.diagnosis.findings.worth import Explained
-from hilserver.diagnosis.schema.findings import Gain
+from hilserver.diagnosis.schema.findings import Gain, Verdict
 
 
 def blas_threads():
@@ -74,3 +74,23 @@ def test_a_fault_of_both_sets_is_said_once_and_of_which():
     ]
     (first,) = engine._of_both([other], [])
     assert first.explanation == "In the first set: b."
+
+
+def turning(gain, seed):
+    causes = {"rotation_gain": gain}
+    return measured(make(Recipe(seed=seed, causes=causes, duration_s=45.0))[0])
+
+
+def test_a_name_needs_the_other_logs_if_there_are_any():
+    """Half of an effect: the error with the whole one is as large as that without any."""
+    log, assembly = turning(-0.2, 1), assemble(None)
+    alike, other = (
+        diagnose(log, assembly, jobs=1, test=turning(gain, 2)) for gain in (-0.2, -0.1)
+    )
+    assert [f.verdict for f in alike.findings.findings] == [Verdict.NAMED]
+    assert [f.verdict for f in other.findings.findings] == [Verdict.EFFECTIVE]
+    (finding,) = other.findings.findings
+    assert finding.parameters == alike.findings.findings[0].parameters
+    assert "these data do not tell" in finding.explanation
+    assert any("no error is clearly smaller" in n for n in other.findings.notices)
+    assert not any("no error is clearly" in n for n in alike.findings.notices)

@@ -289,6 +289,21 @@ KINDS = {
         COLUMNS,
         "not a readable table; supported are",
     ),
+    "kind of text": (
+        raw("0.0 1.0\n0.1 2.0\n", "odometry.dat"),
+        None,
+        "odometry.dat: .*; a table of text is read as well if its name ends in .csv",
+    ),
+    "kind of text, mapped": (
+        raw("0.0 1.0\n0.1 2.0\n", "odometry.txt"),
+        COLUMNS,
+        "odometry.txt: .*; a table of text is read as well if its name ends in .csv",
+    ),
+    "spaces, remark, no names": (
+        raw("# my robot\n0.0 1.0 2.0\n0.1 1.0 2.0\n0.2 1.0 2.0\n"),
+        None,
+        "row 1 begins with '#'; .* or write the names if there are none",
+    ),
     "segment not whole": (
         csv(header=f"t_s,segment,{SPEED}", row="{t},0.5,{i}"),
         None,

@@ -5,7 +5,7 @@ explains as much. That casts doubt on the word, not on the prediction: "acts lik
 22 % larger; what is behind it, these data do not tell". Such an item must pass the screen of a
 name, predict blocks left out of its fit, and be possible in a machine. The whole log decides last:
 each half must find it, with one sign, and predict the other better by it, see `findings.nested`;
-and it must have one size along the log.
+and another part of the log would show it with the same sign.
 """
 
 from collections.abc import Sequence
@@ -14,9 +14,8 @@ from typing import Final
 import numpy as np
 from scipy import stats
 
-from hilserver.arrays import Indices
 from hilserver.diagnosis.decide.promise import ModelExchange
-from hilserver.diagnosis.decide.trial import at_bound, implausible, wald, worth_a_name
+from hilserver.diagnosis.decide.trial import at_bound, implausible, wald
 from hilserver.diagnosis.regression.fitting import fit_without
 from hilserver.diagnosis.regression.linear import orthogonal
 from hilserver.diagnosis.regression.problem import Point, Problem, apart
@@ -79,7 +78,7 @@ def _earns(problem: Problem, whole: Point, index: int, limit: float) -> bool:
         The deviate that an effect must exceed, as for a name.
     """
     f = whole.model.fitted[index]
-    if at_bound(f) or implausible(f) or not worth_a_name(f):
+    if at_bound(f) or implausible(f):
         return False
     if wald(problem, whole, index) <= limit:
         return False
@@ -87,13 +86,15 @@ def _earns(problem: Problem, whole: Point, index: int, limit: float) -> bool:
     return step.earns and not step.harms
 
 
-def has_one_size(problem: Problem, point: Point, index: int) -> bool:
-    """Return whether the size of an item does not differ between parts of the log.
+def recurs(problem: Problem, point: Point, index: int) -> bool:
+    """Return whether another part of the log would show an item with the same sign.
 
     Notes
     -----
-    Cochran's Q of consecutive parts. On a real log a block's own error does not follow from its
-    samples, so the scatter of the blocks within the parts is the unit: an F test.
+    Consecutive parts have one size by Cochran's Q; on a real log a block's own error does not
+    follow from its samples, so the scatter of the blocks within the parts is the unit: an F test.
+    Or their sizes differ, as on a floor that is not the same everywhere, but the prediction
+    interval of one more of them does not hold zero: it gains there all the same.
     """
     columns = problem.accepted(point)
     assert columns is not None
@@ -107,18 +108,22 @@ def has_one_size(problem: Problem, point: Point, index: int) -> bool:
     if count < 2:
         return True
 
-    def saved(blocks: Indices) -> float:
-        """Return the deviance that a size of their own would save."""
-        return float(scores[blocks].sum() ** 2 / information[blocks].sum())
-
     parts = np.array_split(shows, count)
-    between = sum(map(saved, parts))
-    each = float((scores[shows] ** 2 / information[shows]).sum())
+    weights = np.array([information[blocks].sum() for blocks in parts])
+    away = np.array([scores[blocks].sum() for blocks in parts]) / weights
+    mean = float(np.average(away, weights=weights))
+    between = float(weights @ (away - mean) ** 2)
 
+    each = float((scores[shows] ** 2 / information[shows]).sum())
     freedom = len(shows) - count
-    within = max(each - between, 1e-300) / freedom
-    f = (between - saved(shows)) / (count - 1) / within
-    return bool(stats.f.sf(f, count - 1, freedom) > ONE_SIZE)
+    within = max(each - float(weights @ away**2), 1e-300) / freedom
+    f = between / (count - 1) / within
+    if stats.f.sf(f, count - 1, freedom) > ONE_SIZE:
+        return True
+
+    sizes = 1.0 + away  # times the fitted one
+    width = sizes.std(ddof=1) * np.sqrt(1.0 + 1.0 / count)
+    return bool(sizes.mean() > stats.t.isf(0.5 * ONE_SIZE, count - 1) * width)
 
 
 def same_sign(fitted: Sequence[Fitted]) -> bool:

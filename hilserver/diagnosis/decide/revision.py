@@ -1,7 +1,7 @@
 """From selected causes to findings: rivals, superfluous causes, unknown structure, drift."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -61,6 +61,8 @@ class JudgedStage:
     in_doubt: Anchor | None = None
     """An anchor that could replace an accepted scale of the navigation."""
     effective: frozenset[str] = frozenset()  # items of `point` that assert no cause
+    # by effective item: the causes as which halves of the log find it
+    alike: Mapping[str, frozenset[str]] = field(default_factory=dict)
 
     @property
     def lasting(self) -> Model:

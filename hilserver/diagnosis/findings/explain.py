@@ -22,6 +22,9 @@ QUANTITIES: Final[Mapping[str, tuple[str, str]]] = {
 }
 """Keys of a gain: their names in words, and their unit."""
 
+NO_EDGE_M: Final = 1e3
+"""Edges of a part of the floor from here on are those of no floor."""
+
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _CHOICE = re.compile(r"\{([^{}|]*)\|([^{}|]*)\}")
 _FIELD = re.compile(r"\{(?:(of):)?(\w+)\}")
@@ -172,6 +175,8 @@ def _say(cause: str, parameters: Mapping[str, Parameter]) -> str:
                 ", ".join(n.removeprefix(f"{cause}.") for n in own if n != cause)
                 or "a channel"
             )
+        if name == "region":
+            return _region(own)
         if name == "values":
             return _all_of(own) or "some"
         if main is None:
@@ -191,6 +196,25 @@ def _all_of(own: Mapping[str, Parameter]) -> str:
         for name, p in own.items()
         if (part := known_part(name)) is None or not part.shape
     )
+
+
+def _region(own: Mapping[str, Parameter]) -> str:
+    """Return a part of the floor in words; an edge beyond any floor is none."""
+    edges = {
+        name.rpartition(".")[2]: number(p.value, p.unit)
+        for name, p in own.items()
+        if p.unit == "m" and abs(p.value) < NO_EDGE_M
+    }
+    inside = []
+    for axis in "xy":
+        low, high = edges.get(f"{axis}_min"), edges.get(f"{axis}_max")
+        if low and high:
+            inside.append(f"{axis} is between {low} and {high}")
+        elif low or high:
+            inside.append(
+                f"{axis} is above {low}" if low else f"{axis} is below {high}"
+            )
+    return f"Where {' and '.join(inside)}" if inside else "Everywhere"
 
 
 def _value(part: str, parameter: Parameter | None) -> str:

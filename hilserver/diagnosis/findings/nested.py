@@ -6,11 +6,12 @@ chosen causes for what is chance there.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
 from hilserver.arrays import Array
-from hilserver.diagnosis.decide.effective import has_one_size, same_sign
+from hilserver.diagnosis.decide.effective import recurs, same_sign
 from hilserver.diagnosis.decide.predicting import halfway
 from hilserver.diagnosis.decide.promise import falls
 from hilserver.diagnosis.decide.revision import JudgedStage, revised
@@ -25,11 +26,14 @@ from hilserver.diagnosis.findings.worth import (
 )
 from hilserver.diagnosis.regression.fitting import fit_without
 from hilserver.diagnosis.regression.gain import HORIZON_S, of_halves
+from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.regression.stages import without
-from hilserver.diagnosis.replay.model import Fitted, Model
+from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.schema.decisions import Decision
 from hilserver.diagnosis.schema.findings import Finding
+from hilserver.diagnosis.thresholds import GROUP_COSINE
 
+NONE: Final[frozenset[str]] = frozenset()
 Halves = Sequence[JudgedStage | None]
 """What is found without each half of the blocks; None if nothing is left."""
 
@@ -61,17 +65,22 @@ def confirmed(j: JudgedStage, halves: Halves, configured: Array) -> JudgedStage:
     if not j.effective:
         return j
     problem = j.prepared.problem
+    alike = {}
+    for index, cause in enumerate(j.point.model.causes):
+        if cause in j.effective:
+            found = [_alike(problem, j.point, index, half) for half in halves]
+            alike[cause] = frozenset().union(*found) if found and all(found) else NONE
+    j = replace(j, alike=alike)
     whole = cross_validated(j, halves, configured)
     gone: list[int] = []
-    for index, f in enumerate(j.point.model.fitted):
-        cause = f.candidate.cause
+    for index, cause in enumerate(j.point.model.causes):
         why = None
         if cause not in j.effective:
             continue
-        if not _is_found(f, halves):
+        if not alike[cause]:
             why = "one half of the log does not find it"
-        elif not has_one_size(problem, j.point, index):
-            why = "its size changes along the log"
+        elif not recurs(problem, j.point, index):
+            why = "another part of the log may not show it"
         elif not _gains(index, whole):
             why = "it gains nothing where it was not fitted"
         if why is not None:
@@ -83,17 +92,26 @@ def confirmed(j: JudgedStage, halves: Halves, configured: Array) -> JudgedStage:
     return replace(j, point=point, effective=j.effective & {*point.model.causes})
 
 
-def _is_found(f: Fitted, halves: Halves) -> bool:
-    """Return whether each half of the log finds an item, with the same sign."""
-    found = []
-    for half in halves:
-        theirs = half.whole.model if half is not None else Model()
-        found += [
-            other
-            for other in theirs.fitted
-            if other.candidate.cause == f.candidate.cause
-        ]
-    return bool(found) and len(found) == len(halves) and same_sign((f, *found))
+def _alike(
+    problem: Problem, point: Point, index: int, half: JudgedStage | None
+) -> frozenset[str]:
+    """Return what half of the log finds that does the same as an item, under whatever name."""
+    theirs = half.whole.model if half is not None else Model()
+    own, item = problem.effect(point, index), point.model.fitted[index]
+    found = set()
+    for at, other in enumerate(theirs.fitted):
+        cause = other.candidate.cause
+        if cause == item.candidate.cause and same_sign((item, other)):
+            found.add(cause)
+            continue
+        shown, without = (
+            problem.predict(model.terms, point.poses)
+            for model in (theirs, theirs.without(at))
+        )
+        effect = problem.shown(point, problem.stage.difference(shown, without))
+        if own @ effect > GROUP_COSINE * np.sqrt((own @ own) * (effect @ effect)):
+            found.add(cause)
+    return frozenset(found)
 
 
 def _gains(index: int, whole: Explained) -> bool:
@@ -155,6 +173,7 @@ def cross_validated(
         {
             f.candidate.cause,
             *(r.candidate.cause for r in j.ties.get(f.candidate.cause, ())),
+            *j.alike.get(f.candidate.cause, ()),
         }
         for f in j.point.model.fitted
     ]
@@ -166,7 +185,7 @@ def cross_validated(
         if patched:  # nobody gets what only one half takes for effective
             point, gone = (
                 half.point,
-                barred | (half.effective - {*j.point.model.causes}),
+                barred | (half.effective - set().union(*names)),
             )
         left = [i for i, cause in enumerate(point.model.causes) if cause in gone]
         if not left:

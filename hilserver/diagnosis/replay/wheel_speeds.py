@@ -10,7 +10,9 @@ from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import uniform_filter1d
 
 from hilserver.arrays import Array
+from hilserver.diagnosis.replay.counts import is_counted, smoothed, stiffness
 from hilserver.diagnosis.replay.encoders import Driven
+from hilserver.diagnosis.thresholds import FEWEST_SAMPLES
 from hilserver.measured.channels import SPEEDS
 from hilserver.measured.clock import Segments
 from hilserver.measured.data import MeasuredLog
@@ -22,6 +24,7 @@ GOES_ON_S: Final = 0.11
 MARGIN_S: Final = 1.0
 STEADY_WINDOW_S: Final = 0.4
 NOISE_MEMORY: Final = 0.15
+NO_SAMPLES: Final = (np.zeros(0), np.zeros(0))
 PAIRS: Final = ((0, 1), (2, 3))
 
 
@@ -42,6 +45,18 @@ class WheelSpeeds:
         return [
             step_of(self.log[n].values)[0] if n in self.log else 0.0 for n in SPEEDS
         ]
+
+    @cached_property
+    def _stiff(self) -> list[float | None]:
+        """By wheel: how stiff the curve through its counts is; None if it shows no counts."""
+        found: list[float | None] = [None] * len(SPEEDS)
+        for wheel, name in enumerate(SPEEDS):
+            spans = range(len(self.log.spans)) if name in self.log else ()
+            parts = [self.log[name].of(span) for span in spans]
+            t_s, speed = max(parts, key=lambda part: len(part[0]), default=NO_SAMPLES)
+            if len(t_s) >= FEWEST_SAMPLES and is_counted(t_s, speed):
+                found[wheel] = stiffness(t_s, speed)
+        return found
 
     def sides(self) -> tuple[Array, Array]:
         """Return dense sums of both sides' wheel speeds [rpm]."""
@@ -70,7 +85,7 @@ class WheelSpeeds:
         The model of the closed loop interpolates: simulated speed plus the interpolated difference
         to the measured one, of whose noise only the slow part is used. Encoders may be late or have
         steps, so the difference is to what they would show of the simulated wheels. Without
-        set-points a smooth curve goes through the samples.
+        set-points a smooth curve goes through the samples, or what was counted by them.
         """
         dense = np.zeros(self.segments.ticks)
         for i in range(len(self.segments)):
@@ -86,6 +101,9 @@ class WheelSpeeds:
         if self.drive is None:
             if len(t) < 2:
                 return np.full(len(times), v[0] if len(v) else 0.0)
+            stiff = self._stiff[wheel]
+            if stiff is not None and len(t) >= FEWEST_SAMPLES:
+                return smoothed(t, v, stiff, times)
             inside = np.clip(times, t[0], t[-1])
             return np.asarray(PchipInterpolator(t, v)(inside))
         stage, speed, shown = self.drive

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hilserver.diagnosis.decide.effective import has_one_size, same_sign
+from hilserver.diagnosis.decide.effective import recurs, same_sign
 from hilserver.diagnosis.decide.revision import revised
 from hilserver.diagnosis.decide.selection import select
 from hilserver.diagnosis.findings.nested import answers_of, confirmed
@@ -17,7 +17,7 @@ from hilserver.diagnosis.schema.findings import Verdict
 from tests.diagnosis import toy
 
 N = 8000
-CAUSE = "process_gain"
+CAUSE, TWIN = "process_gain", "viscous_load"
 
 
 @pytest.fixture(autouse=True)
@@ -36,8 +36,8 @@ def drawn(size, much, seed=3):
 
 
 def judged(values, column, **how):
-    problem = toy.problem(values, {CAUSE: column})
-    library, base = toy.library(problem)
+    problem = toy.problem(values, {CAUSE: column, TWIN: -2.0 * column})
+    library, base = toy.library(problem, [CAUSE])
     library.candidates[:] = [replace(library.candidates[0], **how)]
     rng = np.random.default_rng(3)
     return revised(
@@ -81,20 +81,23 @@ def test_without_an_effect_nothing_is_effective(seed):
     assert j.point.model.causes == ()
 
 
-@pytest.mark.parametrize("how", [{"prior": 0.1}, {"high": (0.5,)}, {"least": 2.0}])
+@pytest.mark.parametrize("how", [{"prior": 0.1}, {"high": (0.5,)}])
 def test_what_no_machine_has_is_not_effective(how):
     j = judged(*drawn(1.0, 6.0), **how)
     assert j.effective == frozenset()
     assert j.point.model.causes == ()
 
 
-@pytest.mark.parametrize(("other", "is_one"), [(1.0, True), (1.3, False)])
-def test_the_size_must_not_change_along_the_log(other, is_one):
+@pytest.mark.parametrize(
+    ("other", "is_sure"), [(1.0, True), (1.3, True), (0.2, False), (-0.5, False)]
+)
+def test_another_part_of_the_log_must_show_it_with_the_same_sign(other, is_sure):
+    """On a real floor a turn gain differs from part to part, and gains in each."""
     values, column = drawn(1.0, 0.0)
     values[N // 2 :] += (other - 1.0) * column[N // 2 :]
     problem = toy.problem(values, {CAUSE: column})
     _, base = toy.library(problem)
-    assert has_one_size(problem, fit(problem, toy.model(CAUSE), base), 0) == is_one
+    assert recurs(problem, fit(problem, toy.model(CAUSE), base), 0) == is_sure
 
 
 def test_an_item_that_one_half_does_not_find_has_no_claim():
@@ -107,6 +110,24 @@ def test_an_item_that_one_half_does_not_find_has_no_claim():
     assert confirmed(j, (j, blind), before).point.model.causes == ()
     assert confirmed(j, (j, None), before).effective == frozenset()
     assert confirmed(j, (None, None), before).effective == frozenset()
+
+
+def test_what_is_too_small_for_a_name_still_predicts():
+    j = judged(*drawn(1.0, 0.0), least=2.0)
+    assert j.effective == {CAUSE}
+    assert j.point.model.causes == (CAUSE,)
+
+
+@pytest.mark.parametrize(("size", "is_found"), [(-0.5, True), (0.5, False)])
+def test_a_half_may_find_an_item_under_another_name(size, is_found):
+    """It asserts no cause, so all that counts is that it does the same."""
+    j = judged(*drawn(1.0, 6.0))
+    base, problem = j.prepared.base, j.prepared.problem
+    point = problem.point(toy.model(TWIN).with_theta(np.array([size])), base.poses)
+    half = replace(j, point=point, whole=point, effective=frozenset({TWIN}))
+    found = confirmed(j, (j, half), np.zeros(N))
+    assert found.effective == ({CAUSE} if is_found else frozenset())
+    assert found.alike[CAUSE] == ({CAUSE, TWIN} if is_found else frozenset())
 
 
 def test_all_fits_of_an_item_point_the_same_way():
