@@ -35,7 +35,7 @@ LIMITS: Final = (
     (
         "ros2",
         "`ros2.stale_after_ms`",
-        "`ros2.on_stale`: device (drive disabled), ramp, or hold while its writer is alive",
+        "`ros2.on_stale`: device (drive disabled), ramp, zero, or hold while its writer is alive",
     ),
     (
         "shield",

@@ -95,6 +95,9 @@ def _axes(solid: Solid) -> str:
 
 
 FINDER_HEIGHT_M = 0.045  # EduArt's range finders above the floor
+CLEARANCE = 0.25  # of the chassis above the floor at least, in wheel radii
+WHEEL_SHARE = 0.005
+"""Of the robot's mass, in a wheel or castor of the URDF: nothing states it, and all need one."""
 
 
 def _text(*numbers: float) -> str:
@@ -104,7 +107,10 @@ def _text(*numbers: float) -> str:
 def _chassis_m(body: BodyParameters) -> tuple[float, float, float]:
     """Return the middle of the plates relative to the centre of mass."""
     ahead, aside, height = body.centre_of_mass_m
-    return -ahead, -aside, body.robot.wheel_radius_m - height
+    radius_m = body.robot.wheel_radius_m
+    # on small wheels it would lie on the floor
+    lowest_m = 0.5 * body.chassis_m[2] + CLEARANCE * radius_m
+    return -ahead, -aside, max(radius_m, lowest_m) - height
 
 
 def _wheels(body: BodyParameters) -> list[tuple[str, str, list[float]]]:
@@ -184,55 +190,103 @@ def robot_mjcf(body: BodyParameters) -> str:
 
 
 def robot_urdf(body: BodyParameters, prefix: str = "") -> str:
-    """Return links and joints of the robot; ``base_link`` is its centre of mass (REP-105).
+    """Return links and joints of the robot.
 
+    ``base_link`` is the point of the floor below its centre of mass, as ``odom`` lies on the floor,
+    too. It has no inertia, which the KDL of ROS does not support at the root; the chassis has.
     Joints and frames are named as in the ROS 2 messages, with `prefix` before each name.
     """
     root, base = Xml.Element("robot", name="hilserver"), f"{prefix}base_link"
-    link = Xml.SubElement(root, "link", name=base)
-    _visual(link, _text(*_chassis_m(body)), "0 0 0", "box", size=_text(*body.chassis_m))
-    inertial = Xml.SubElement(link, "inertial")
-    Xml.SubElement(inertial, "mass", value=_text(body.mass_kg))
-    ixx, iyy, izz = (_text(moment) for moment in body.moments_kg_m2)
-    Xml.SubElement(
-        inertial, "inertia", ixx=ixx, iyy=iyy, izz=izz, ixy="0", ixz="0", iyz="0"
-    )
-    size = {"radius": _text(body.robot.wheel_radius_m), "length": _text(WHEEL_WIDTH_M)}
-    for _, words, centre in _wheels(body):
-        name = f"wheel_{words}"
-        link = Xml.SubElement(root, "link", name=prefix + name)
-        _visual(link, "0 0 0", "1.57079633 0 0", "cylinder", **size)
-        joint = _joint(
-            root, f"{prefix}base_to_{name}", "continuous", base, prefix + name
-        )
-        Xml.SubElement(joint, "origin", xyz=_text(*centre), rpy="0 0 0")
-        Xml.SubElement(joint, "axis", xyz="0 1 0")
-    for name, centre_m in _castors(body).items():
-        link = Xml.SubElement(root, "link", name=prefix + name)
-        ball = {"radius": _text(body.robot.wheel_radius_m / 2)}
-        _visual(link, "0 0 0", "0 0 0", "sphere", **ball)
-        joint = _joint(root, f"{prefix}base_to_{name}", "fixed", base, prefix + name)
-        Xml.SubElement(joint, "origin", xyz=_text(*centre_m), rpy="0 0 0")
-    tof, (ahead, aside, height) = body.robot.tof, body.centre_of_mass_m
+    Xml.SubElement(root, "link", name=base)
+
+    ahead, aside, height = body.centre_of_mass_m
+    middle_m = 0.0, 0.0, height
+    link = _fixed(root, base, f"{prefix}chassis", middle_m)
+    _solid(link, "box", {"size": _text(*body.chassis_m)}, _chassis_m(body))
+    rest = 1.0 - _add_wheels(root, body, prefix)
+    _inertia(link, rest * body.mass_kg, [rest * one for one in body.moments_kg_m2])
+    _fixed(root, base, f"{prefix}imu_link", middle_m)
+
+    tof = body.robot.tof
     for place in CORNERS:
-        corner = WHEEL_WORDS[place].split()
-        name, is_front, is_left = "/".join(corner), place[0] == "f", place[1] == "l"
-        Xml.SubElement(root, "link", name=f"{prefix}range/{name}")
-        joint_name = f"{prefix}base_to_range_{'_'.join(corner)}"
-        joint = _joint(root, joint_name, "fixed", base, f"{prefix}range/{name}")
+        name = WHEEL_WORDS[place].replace(" ", "/")
+        is_front, is_left = place[0] == "f", place[1] == "l"
         x_m = tof.mount_x_m if is_front else -tof.mount_x_m
         y_m = tof.mount_y_m if is_left else -tof.mount_y_m
-        where = _text(x_m - ahead, y_m - aside, FINDER_HEIGHT_M - height)
-        Xml.SubElement(
-            joint, "origin", xyz=where, rpy=f"0 0 {0.0 if is_front else math.pi:.9g}"
-        )
+        at_m = x_m - ahead, y_m - aside, FINDER_HEIGHT_M
+        yaw_rad = 0.0 if is_front else math.pi
+        _fixed(root, base, f"{prefix}range/{name}", at_m, yaw_rad)
     return _document(root)
 
 
-def _visual(link: Xml.Element, xyz: str, rpy: str, shape: str, **size: str) -> None:
-    visual = Xml.SubElement(link, "visual")
-    Xml.SubElement(visual, "origin", xyz=xyz, rpy=rpy)
-    Xml.SubElement(Xml.SubElement(visual, "geometry"), shape, size)
+def _add_wheels(root: Xml.Element, body: BodyParameters, prefix: str) -> float:
+    """Add wheels and castors; return their share of the mass."""
+    wheels, castors = _wheels(body), _castors(body)
+    base, height = f"{prefix}base_link", body.centre_of_mass_m[2]
+    mass_kg, radius_m = WHEEL_SHARE * body.mass_kg, body.robot.wheel_radius_m
+    size = {"radius": _text(radius_m), "length": _text(WHEEL_WIDTH_M)}
+    rolling = 0.5 * mass_kg * radius_m**2
+    across = 0.5 * rolling + mass_kg * WHEEL_WIDTH_M**2 / 12.0
+
+    for _, words, (x_m, y_m, z_m) in wheels:
+        name = f"wheel_{words}"
+        link = Xml.SubElement(root, "link", name=prefix + name)
+        _solid(link, "cylinder", size, rpy="1.57079633 0 0")
+        _inertia(link, mass_kg, (across, rolling, across))
+        joint = _joint(
+            root, f"{prefix}base_to_{name}", "continuous", base, prefix + name
+        )
+        where = _text(x_m, y_m, z_m + height)
+        Xml.SubElement(joint, "origin", xyz=where, rpy="0 0 0")
+        Xml.SubElement(joint, "axis", xyz="0 1 0")
+
+    for name, (x_m, y_m, z_m) in castors.items():
+        link = _fixed(root, base, prefix + name, (x_m, y_m, z_m + height))
+        _solid(link, "sphere", {"radius": _text(0.5 * radius_m)})
+        _inertia(link, mass_kg, [0.4 * mass_kg * (0.5 * radius_m) ** 2] * 3)
+        # they slide, which no other element of URDF says
+        gazebo = Xml.SubElement(root, "gazebo", reference=prefix + name)
+        Xml.SubElement(gazebo, "mu1").text = Xml.SubElement(gazebo, "mu2").text = "0"
+    return WHEEL_SHARE * (len(wheels) + len(castors))
+
+
+def _fixed(
+    root: Xml.Element,
+    base: str,
+    name: str,
+    at_m: tuple[float, float, float],
+    yaw_rad: float = 0.0,
+) -> Xml.Element:
+    """Add a link at a fixed place; its joint has its name, with ``base_to_`` before it."""
+    link = Xml.SubElement(root, "link", name=name)
+    prefix = base.removesuffix("base_link")
+    own = name.removeprefix(prefix).replace("/", "_")
+    joint = _joint(root, f"{prefix}base_to_{own}", "fixed", base, name)
+    Xml.SubElement(joint, "origin", xyz=_text(*at_m), rpy=f"0 0 {yaw_rad:.9g}")
+    return link
+
+
+def _solid(
+    link: Xml.Element,
+    shape: str,
+    size: dict[str, str],
+    at_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    rpy: str = "0 0 0",
+) -> None:
+    """Give a link a shape that is seen, and that touches the floor and others."""
+    for part in ("visual", "collision"):
+        element = Xml.SubElement(link, part)
+        Xml.SubElement(element, "origin", xyz=_text(*at_m), rpy=rpy)
+        Xml.SubElement(Xml.SubElement(element, "geometry"), shape, size)
+
+
+def _inertia(link: Xml.Element, mass_kg: float, moments: Iterable[float]) -> None:
+    """Give a link its mass and moments about its axes; other programs drop one without."""
+    inertial = Xml.SubElement(link, "inertial")
+    Xml.SubElement(inertial, "mass", value=_text(mass_kg))
+    ixx, iyy, izz = map(_text, moments)
+    about = {"ixx": ixx, "iyy": iyy, "izz": izz, "ixy": "0", "ixz": "0", "iyz": "0"}
+    Xml.SubElement(inertial, "inertia", about)
 
 
 def _joint(

@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, Field, StringConstraints, model_validator
 from hilserver.config.doors import DoorRule, Right, Ros2Grant
 from hilserver.config.section import Driver, LinkSection, Section, need
 from hilserver.errors import meant
-from hilserver.ros.flavours import DESCRIPTION, FLAVOURS, Published
+from hilserver.ros.flavours import DESCRIPTION, EXTRAS, FLAVOURS, Published
 from hilserver.ros.measured import IOTBOT, Kind
 from hilserver.ros.types import Types
 
@@ -44,6 +44,26 @@ class Ros2Publish(Section):
     robot_description: bool = Field(
         False, description="robot_description: URDF, for RViz"
     )
+
+
+_KEYS = {topic.topic.lstrip("/"): key for key, topic in EXTRAS.items()}
+
+
+def _by_key(value: object) -> object:
+    """Return what is asked for by its keys; a list, and names as in ROS (``/tf``), will do."""
+    if isinstance(value, list) and all(isinstance(name, str) for name in value):
+        value = dict.fromkeys(value, True)
+    if not isinstance(value, dict):
+        return value
+
+    asked: dict[object, object] = {}
+    for name, is_wanted in value.items():
+        bare = str(name).lstrip("/")
+        key = _KEYS.get(bare, bare)
+        if key in asked:
+            raise ValueError(f"names {name} twice: remove one of them")
+        asked[key] = is_wanted
+    return asked
 
 
 FrameName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_./-]{1,100}$")]
@@ -99,7 +119,7 @@ class Ros2Config(LinkSection):
     """ROS 2 over DDS, without a ROS installation (extra ros2)."""
 
     enabled: bool = Field(False, description="Take part in ROS 2")
-    flavour: Literal["iotbot_shield", "eduard", "thesis_sil"] = Field(
+    flavour: Literal["iotbot_shield", "eduard", "thesis_sil", "diff_drive"] = Field(
         "iotbot_shield",
         description="Which robot program to be: topics, services, rates, QoS",
     )
@@ -141,7 +161,13 @@ class Ros2Config(LinkSection):
     topics: dict[str, TopicName] = Field(
         {}, description="Renames: the flavour's name: other name"
     )
-    publish: Ros2Publish = Field(default_factory=Ros2Publish)
+    publish: Annotated[
+        Ros2Publish,
+        BeforeValidator(_by_key, json_schema_input_type=list[str] | Ros2Publish),
+    ] = Field(
+        default_factory=Ros2Publish,
+        description="Further topics, by key or in a list by name: [/tf, odometry/filtered]",
+    )
     measured: Annotated[
         Ros2Measured | None,
         BeforeValidator(
@@ -163,17 +189,18 @@ class Ros2Config(LinkSection):
     stale_after_ms: float = Field(
         500.0, ge=20, le=3_600_000, description="Commands older than this are stale"
     )
-    on_stale: Literal["device", "ramp", "hold"] | None = Field(
+    on_stale: Literal["device", "ramp", "zero", "hold"] | None = Field(
         None,
         description="What then happens: device: enable is withdrawn until the host sends it again;"
-        " ramp: safe state until Reset; hold: a command stands while its writer is alive, then as"
-        " ramp; null: hold in thesis_sil, else device",
+        " ramp: safe state until Reset; zero: it stops until the next command; hold: a command"
+        " stands while its writer is alive, then as ramp; null: hold in thesis_sil, zero in"
+        " diff_drive, else device",
     )
     reenable: Literal["service", "command"] | None = Field(
         None,
         description="What enables the drive again after silence under device: the flavour's service"
-        " or button, or a fresh command after one at rest as well; null: command in thesis_sil,"
-        " which has no service",
+        " or button, or a fresh command after one at rest as well; null: command where there is"
+        " no service (thesis_sil, diff_drive)",
     )
 
     @model_validator(mode="after")
@@ -239,7 +266,7 @@ class Ros2Config(LinkSection):
         """What the simulated robot writes over and over."""
         flavour, asked = FLAVOURS[self.flavour], self.publish.model_dump()
         extras = [topic for name, topic in flavour.extras.items() if asked[name]]
-        return [*flavour.published, *extras]
+        return list(dict.fromkeys((*flavour.published, *extras)))
 
     @property
     def driver(self) -> Driver:
@@ -250,8 +277,8 @@ class Ros2Config(LinkSection):
 
     @property
     def action(self) -> str:
-        """What happens to a command that is not renewed: device, ramp or hold."""
-        return self.on_stale or ("hold" if self.flavour == "thesis_sil" else "device")
+        """What happens to a command that is not renewed: device, ramp, zero or hold."""
+        return self.on_stale or FLAVOURS[self.flavour].on_stale
 
     @property
     def command_enables(self) -> bool:

@@ -17,7 +17,7 @@ from hilserver.logs import changes as sparse
 from hilserver.logs.log import RecordedState
 from hilserver.logs.message import CDR_LITTLE_ENDIAN, make_layout
 from hilserver.logs.provenance import tag_ticks
-from hilserver.logs.writer import Segmented
+from hilserver.logs.writer import Segmented, size_of
 from hilserver.ros.types import Types
 
 Storage = Literal["mcap", "sqlite3"]
@@ -35,8 +35,6 @@ class BagWriter:
         utc_minus_monotonic_ns: int,
         storage: Storage = "mcap",
     ) -> None:
-        from rosbags.rosbag2 import StoragePlugin, Writer  # noqa: PLC0415 -- slow to import
-
         if path.exists():
             raise FailedError(
                 f"{path}: already exists; a bag needs a new folder: choose another name"
@@ -47,6 +45,7 @@ class BagWriter:
             [slot_of[name] for name in self._layout.names], dtype=np.intp
         )
         self._utc_ns, self._bytes = utc_minus_monotonic_ns, 0
+        self._path, self._storage = path, storage
         self._types = Types()
         self._types.add(topics.FRAME_TYPE, self._layout.schema)
         self._types.add(topics.STATE_TYPE, topics.STATE_TEXT)
@@ -55,10 +54,7 @@ class BagWriter:
         self._eduart = topics.Eduart(
             self._types, list(self._layout.names), period_ns, tag_ticks(run)
         )
-        plugin = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}[storage]
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._writer = Writer(path, version=BAG_VERSION, storage_plugin=plugin)
-        self._writer.open()
+        self._writer = _opened(path, storage)
         self._held: list[tuple[str, bytes]] = []
         self._newest_ns: int | None = None
         self._is_open = True
@@ -79,8 +75,8 @@ class BagWriter:
 
     @property
     def n_bytes(self) -> int:
-        """Size of the messages so far."""
-        return self._bytes
+        """Size of its files so far; sqlite3 writes most of a bag at its end."""
+        return self._bytes if self._storage == "sqlite3" else size_of(self._path)
 
     def write(self, batch: Segmented) -> None:
         """Append a message for each frame, and EduArt's if they are due."""
@@ -151,3 +147,21 @@ class BagWriter:
             if self._newest_ns is None:
                 self._release(0)
             self._writer.close()
+
+
+def _opened(path: Path, storage: Storage) -> Any:
+    """Begin a bag; MCAP packs its chunks, as with ROS, to a tenth of their size."""
+    from rosbags.rosbag2 import (  # noqa: PLC0415 -- slow to import
+        CompressionFormat,
+        CompressionMode,
+        StoragePlugin,
+        Writer,
+    )
+
+    plugin = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}[storage]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    writer = Writer(path, version=BAG_VERSION, storage_plugin=plugin)
+    if storage == "mcap":
+        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    writer.open()
+    return writer

@@ -50,6 +50,15 @@ class LogWriter(Protocol):
         """Complete the file."""
 
 
+def size_of(path: Path) -> int:
+    """Return the size of a file, or of all files in a folder [bytes]; 0 if it is gone."""
+    try:
+        files = list(path.iterdir()) if path.is_dir() else [path]
+        return sum(file.stat().st_size for file in files)
+    except OSError:
+        return 0
+
+
 class WholeFile:
     """A file that only ever ends behind something whole.
 

@@ -1,7 +1,8 @@
-"""The topics and services of three robot programs, as data.
+"""The topics and services of four robot programs, as data.
 
 ``iotbot_shield`` and ``eduard`` are EduArt's two stacks, ``thesis_sil`` the five topics of the
-thesis. A name without a leading slash is relative to the namespace.
+thesis, ``diff_drive`` those of a base that ``diff_drive_controller`` of ros2_control drives. A name
+without a leading slash is relative to the namespace.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -61,13 +62,18 @@ class Served:
 
 @dataclass(frozen=True)
 class Flavour:
-    """Interface of one robot program; `enabled_by` names the service that enables the drive."""
+    """Interface of one robot program.
+
+    `enabled_by` names the service that enables the drive; `on_stale` is what a silence of the host
+    does there, if the configuration says nothing else.
+    """
 
     published: tuple[Published, ...]
     subscribed: tuple[Subscribed, ...]
     served: tuple[Served, ...] = ()
     namespace: str = ""
     enabled_by: str = ""
+    on_stale: str = "device"
     extras: Mapping[str, Published] = field(default_factory=lambda: EXTRAS)
 
     @property
@@ -228,6 +234,7 @@ _EDUARD: Final = Flavour(
 )
 
 _THESIS_SIL: Final = Flavour(
+    on_stale="hold",  # its node writes once for a key press, and nothing in between
     published=(
         Published("rpm/return", FLOATS, outgoing.rpm_return_thesis),
         Published("position_and_orientation", FLOATS, outgoing.position),
@@ -241,8 +248,23 @@ _THESIS_SIL: Final = Flavour(
     ),
 )
 
+_DIFF_DRIVE: Final = Flavour(
+    on_stale="zero",
+    published=(
+        EXTRAS["odom"],
+        EXTRAS["tf"],
+        Published("joint_states", "sensor_msgs/msg/JointState", outgoing.wheel_states),
+        Published("imu", "sensor_msgs/msg/Imu", outgoing.imu, qos=SENSOR_DATA),
+    ),
+    subscribed=(
+        Subscribed("cmd_vel", TWIST, incoming.velocity),
+        Subscribed("cmd_vel", "geometry_msgs/msg/TwistStamped", incoming.stamped),
+    ),
+)
+
 FLAVOURS: Final[Mapping[str, Flavour]] = {
     "iotbot_shield": _IOTBOT_SHIELD,
     "eduard": _EDUARD,
     "thesis_sil": _THESIS_SIL,
+    "diff_drive": _DIFF_DRIVE,
 }

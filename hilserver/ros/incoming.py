@@ -91,6 +91,11 @@ def velocity(robot: RosFrame, message: Any) -> Values:
     return _twist(robot, message.linear.x, message.linear.y, message.angular.z)
 
 
+def stamped(robot: RosFrame, message: Any) -> Values:
+    """TwistStamped: counts from its arrival, as the clock of its writer may be another one."""
+    return velocity(robot, message.twist)
+
+
 def _twist(robot: RosFrame, forward: float, left: float, turn: float) -> Values:
     shape = robot.shape
     if shape.max_lateral_m_s == 0.0 and left:

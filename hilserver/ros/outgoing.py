@@ -1,7 +1,7 @@
 """From one frame to messages; each function makes the messages of one topic."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -294,18 +294,43 @@ def kinematic_description(robot: RosFrame) -> Iterator[Any]:
 
 
 def joint_states(robot: RosFrame) -> Iterator[Any]:
-    """One message per motor, as edu_robot sends them."""
+    """One message per motor, as edu_robot sends them: all signs are reversed."""
+    there = _joints(robot)
     for wheel in MOTORS:
-        yield robot.make(
-            "sensor_msgs/msg/JointState",
-            header=robot.make(
-                "std_msgs/msg/Header", stamp=robot.time(robot.stamp_ns), frame_id=""
-            ),
-            name=[f"{robot.frame_prefix}base_to_wheel_{PLACES[wheel]}"],
-            position=np.array([-robot[f"wheel.{wheel}.angle_rad"]]),
-            velocity=np.array([-robot[f"wheel.{wheel}.speed_rpm"] / RPM_PER_RAD_S]),
-            effort=np.zeros(0),
-        )
+        if wheel in there:
+            yield _joint_state(robot, {wheel: -1.0})
+
+
+def wheel_states(robot: RosFrame) -> Iterator[Any]:
+    """All wheels in one message, forward positive (REP-103)."""
+    forward = {wheel: 1.0 if wheel.endswith("l") else -1.0 for wheel in _joints(robot)}
+    yield _joint_state(robot, forward)
+
+
+def _joints(robot: RosFrame) -> dict[str, str]:
+    """Return the joint of each wheel that exists, named as in the URDF."""
+    is_on_one_axle = not robot.shape.wheelbase_m
+    words = {"fl": "left", "fr": "right"} if is_on_one_axle else PLACES
+    return {
+        wheel: f"{robot.frame_prefix}base_to_wheel_{place}"
+        for wheel, place in words.items()
+    }
+
+
+def _joint_state(robot: RosFrame, signs: Mapping[str, float]) -> Any:
+    """Return the message of some wheels, each with the sign of its joint."""
+    joints, stamp = _joints(robot), robot.time(robot.stamp_ns)
+    angles_rad = [sign * robot[f"wheel.{w}.angle_rad"] for w, sign in signs.items()]
+    speeds_rpm = [sign * robot[f"wheel.{w}.speed_rpm"] for w, sign in signs.items()]
+
+    return robot.make(
+        "sensor_msgs/msg/JointState",
+        header=robot.make("std_msgs/msg/Header", stamp=stamp, frame_id=""),
+        name=[joints[wheel] for wheel in signs],
+        position=np.array(angles_rad),
+        velocity=np.array(speeds_rpm) / RPM_PER_RAD_S,
+        effort=np.zeros(0),
+    )
 
 
 def range_of(place: str) -> Any:

@@ -43,7 +43,8 @@ def test_the_urdf_is_a_tree_of_four_wheels_on_one_base(tmp_path):
         f"{end}_{side}" for end in ("front", "rear") for side in ("left", "right")
     ]
     finders = {f"range/{corner.replace('_', '/')}" for corner in corners}
-    assert links == {"base_link", *(f"wheel_{corner}" for corner in corners), *finders}
+    own = {"base_link", "chassis", "imu_link"}
+    assert links == {*own, *(f"wheel_{corner}" for corner in corners), *finders}
     joints = {joint.get("name"): joint for joint in robot.findall("joint")}
     turning = {
         name for name, joint in joints.items() if joint.get("type") == "continuous"
@@ -52,13 +53,13 @@ def test_the_urdf_is_a_tree_of_four_wheels_on_one_base(tmp_path):
         "as in /joint_states"
     )
     place = joints["base_to_wheel_front_left"].find("origin").get("xyz").split()
-    assert [float(c) for c in place] == pytest.approx([0.125, 0.155, 0.025])
+    assert [float(c) for c in place] == pytest.approx([0.125, 0.155, 0.085])
 
 
 def test_names_can_have_a_prefix():
     body = BodyParameters(robot=RobotParameters())
     robot = ElementTree.fromstring(robot_urdf(body, "eduard/"))
-    names = {part.get("name") for part in robot} | {
+    names = {part.get("name") or part.get("reference") for part in robot} | {
         c.get("link") for c in robot.iter("child")
     }
     assert names
@@ -72,17 +73,55 @@ def test_a_robot_on_one_axle_has_two_wheels_and_castors(tmp_path):
     assert turning == {"base_to_wheel_left", "base_to_wheel_right"}
     assert {"base_to_castor_front", "base_to_castor_rear"} < joints.keys()
     place = joints["base_to_wheel_left"].find("origin").get("xyz").split()
-    assert [float(c) for c in place] == pytest.approx([0.03, 0.08, -0.017])
+    assert [float(c) for c in place] == pytest.approx([0.03, 0.08, 0.033])
 
 
-def test_a_robot_on_one_axle_stands_and_drives_in_mujoco(tmp_path):
-    model = mujoco.MjModel.from_xml_string(written(tmp_path, "mjcf", TURTLEBOT))
-    assert (model.nu, model.njnt) == (2, 3)
+@pytest.mark.parametrize(
+    ("text", "mass_kg", "driven"),
+    [("{}", 5.0, 4), (TURTLEBOT, 1.0, 2), ("plant: {drive: mecanum}", 5.0, 4)],
+    ids=["four_wheels", "two_wheels", "mecanum"],
+)
+def test_other_programs_can_drive_the_urdf(tmp_path, text, mass_kg, driven):
+    """MuJoCo refuses a link that turns without inertia, and Gazebo drops it."""
+    spec = mujoco.MjSpec.from_string(written(tmp_path, "urdf", text))
+    spec.compiler.balanceinertia, spec.compiler.discardvisual = False, True
+    spec.compiler.fusestatic = False
+    spec.body("base_link").add_freejoint()
+    floor = spec.worldbody.add_geom()
+    floor.type, floor.size = mujoco.mjtGeom.mjGEOM_PLANE, [5, 5, 0.1]
+    for name in ("castor_front", "castor_rear"):
+        for geom in spec.body(name).geoms if spec.body(name) else ():
+            geom.condim, geom.priority = 1, 1
+    for joint in spec.joints[1:]:
+        motor = spec.add_actuator(target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        motor.set_to_velocity(kv=mass_kg * 0.01)
+    model = spec.compile()
+    assert (model.nu, sum(model.body_mass)) == (driven, pytest.approx(mass_kg))
+
+    data = mujoco.MjData(model)
+    data.ctrl[:] = 3.0
+    while data.time < 3.0:
+        mujoco.mj_step(model, data)
+    x_m, y_m, z_m = data.qpos[:3]
+    assert x_m > 0.1
+    assert (y_m, z_m) == pytest.approx((0.0, 0.0), abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("text", "driven", "height_m", "radius_m"),
+    [(TURTLEBOT, 2, 0.05, 0.033), ("plant: {drive: mecanum}", 4, 0.06, 0.05)],
+    ids=["two_wheels", "mecanum"],
+)
+def test_the_robot_stands_and_drives_in_mujoco(
+    tmp_path, text, driven, height_m, radius_m
+):
+    model = mujoco.MjModel.from_xml_string(written(tmp_path, "mjcf", text))
+    assert (model.nu, model.njnt) == (driven, driven + 1)
     data = mujoco.MjData(model)
     data.ctrl[:] = 3.0
     while data.time < 2.0:
         mujoco.mj_step(model, data)
     x_m, y_m, z_m = data.qpos[:3]
-    assert 0.1 < x_m < 2 * 3.0 * 0.033
+    assert 0.1 < x_m < 2 * 3.0 * radius_m
     assert abs(y_m) < 0.01
-    assert z_m == pytest.approx(0.05, abs=0.003)
+    assert z_m == pytest.approx(height_m, abs=0.003)

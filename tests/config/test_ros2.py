@@ -47,6 +47,8 @@ from hilserver.config.ros2 import Ros2Config
             {"measured": {"topics": {"odom": "Odometry", "/odom": "Odometry"}}},
             "/odom twice",
         ),
+        ({"publish": ["tf", "/tf"]}, "names /tf twice"),
+        ({"publish": ["imu"]}, "imu"),
         (
             {"measured": {"frame": "/map", "base_frame": "map"}},
             "frame and base_frame are the same",
@@ -108,12 +110,34 @@ def test_names(keys, name, full):
         ({"flavour": "eduard"}, "device", False),
         ({"flavour": "thesis_sil"}, "hold", True),
         ({"flavour": "thesis_sil", "on_stale": "device"}, "device", True),
+        ({"flavour": "diff_drive"}, "zero", True),
     ],
 )
 def test_silence_and_the_way_back_by_flavour(keys, action, command_enables):
     config = Ros2Config(enabled=True, **keys)
     assert (config.action, config.command_enables) == (action, command_enables)
     assert config.driver.policy == ("ramp" if action == "hold" else action)
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        ["/tf", "odometry/filtered"],
+        ["tf", "/odometry/filtered"],
+        {"/tf": True, "odometry/filtered": True},
+        {"tf": True, "estimate": True},
+    ],
+)
+def test_topics_are_asked_for_by_their_names_or_keys(asked):
+    config = Ros2Config(enabled=True, publish=asked)
+    assert [t.topic for t in config.published][-2:] == ["/tf", "odometry/filtered"]
+    assert Ros2Config.model_validate(config.model_dump(mode="json")) == config
+
+
+def test_a_topic_of_the_flavour_that_is_asked_for_is_written_once():
+    config = Ros2Config(enabled=True, flavour="diff_drive", publish=["/tf", "/clock"])
+    names = [topic.topic for topic in config.published]
+    assert names == ["odom", "/tf", "joint_states", "imu", "/clock"]
 
 
 HELD = {"enabled": True, "flavour": "thesis_sil"}

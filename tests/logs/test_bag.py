@@ -18,6 +18,7 @@ from rosbags.rosbag2 import Reader
 from hilserver import commands
 from hilserver.errors import LogError
 from hilserver.logs import open_writer, read_log, writing
+from hilserver.logs.writer import size_of
 from hilserver.measured.reading import read_measured
 from tests.logs.samples import NAMES, batch_of, ramp, run_of
 
@@ -54,6 +55,16 @@ def same(first, second):
     np.testing.assert_array_equal(first.segment, second.segment)
     for name, values in first.columns.items():
         np.testing.assert_array_equal(values, second.columns[name], err_msg=name)
+
+
+def test_a_bag_of_mcap_is_packed_as_ros_packs_it(recording, tmp_path):
+    for storage in ("mcap", "sqlite3"):
+        convert(recording, tmp_path / storage, "--storage", storage)
+    assert size_of(tmp_path / "mcap") < 0.3 * size_of(tmp_path / "sqlite3")
+    (file,) = (tmp_path / "mcap").glob("*.mcap")
+    with file.open("rb") as stream:
+        chunks = make_reader(stream).get_summary().chunk_indexes
+    assert {chunk.compression for chunk in chunks} == {"zstd"}
 
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])

@@ -1,26 +1,55 @@
 """The robot as messages see it: what its wheels make, on tyres and on rollers."""
 
 import math
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
+from hilserver.body.export import robot_urdf
+from hilserver.body.parameters import BodyParameters
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
 from hilserver.plant.layout import WHEELS
+from hilserver.plant.parameters import RobotParameters
 from hilserver.ros import outgoing
 from hilserver.ros.flavours import FLAVOURS
 from hilserver.ros.robot import Odometer, RosFrame, Shape
 from hilserver.ros.types import Types
 
 
-def robot_with(drive, rpm=(0.0,) * 4):
-    assembly = assemble_config(Config.model_validate({"plant": {"drive": drive}}))
+def robot_with(drive, rpm=(0.0,) * 4, **plant):
+    plant = {"drive": drive, **plant}
+    assembly = assemble_config(Config.model_validate({"plant": plant}))
     shape = Shape.of(assembly.robot, assembly.composition.parameters)
     robot = RosFrame(Types(), shape, Odometer(shape))
     robot.values = {f"wheel.{w}.speed_rpm": v for w, v in zip(WHEELS, rpm, strict=True)}
+    robot.values |= {
+        f"wheel.{w}.angle_rad": v for w, v in zip(WHEELS, rpm, strict=True)
+    }
     robot.values["drive.enable"] = 1.0
     return robot
+
+
+ONE_AXLE = {"wheelbase_m": None, "icr_offset_m": 0.0}
+
+
+@pytest.mark.parametrize("plant", [{}, ONE_AXLE], ids=["four_wheels", "two_wheels"])
+@pytest.mark.parametrize("make", [outgoing.joint_states, outgoing.wheel_states])
+def test_joints_are_those_of_the_urdf(plant, make):
+    robot = robot_with("skid", **plant)
+    body = BodyParameters(robot=RobotParameters(**plant))
+    joints = ElementTree.fromstring(robot_urdf(body)).findall("joint")
+    turning = {j.get("name") for j in joints if j.get("type") == "continuous"}
+    assert {name for message in make(robot) for name in message.name} == turning
+
+
+@pytest.mark.parametrize("plant", [{}, ONE_AXLE], ids=["four_wheels", "two_wheels"])
+def test_wheels_that_roll_forward_are_positive_joints(plant):
+    """As REP-103 has it; the plant and edu_robot mirror one side."""
+    (message,) = outgoing.wheel_states(robot_with("skid", (60, 60, -60, -60), **plant))
+    assert (message.position == 60.0).all()
+    assert message.velocity == pytest.approx(np.full(len(message.name), math.tau))
 
 
 def test_rollers_take_the_odometry_to_the_left():

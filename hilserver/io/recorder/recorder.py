@@ -13,7 +13,7 @@ from hilserver.io.recorder.source import FrameSource
 from hilserver.io.recorder.thinning import Thinner
 from hilserver.io.recorder.write_behind import NextFile, WriteBehind
 from hilserver.logs.provenance import make_run
-from hilserver.logs.writer import Segmented
+from hilserver.logs.writer import Segmented, size_of
 from hilserver.logs.writing import check_suffix
 
 POLL_S = 0.02
@@ -22,6 +22,8 @@ SUPERVISE_S = 0.25
 SAY_AGAIN_S = 5.0
 STATE_WITHIN_S = 2.0
 CLOSE_WITHIN_S = 30.0
+GROWTH_AFTER_S = 10.0
+"""From then on, how fast a recording grows is worth saying."""
 
 
 class Recorder:
@@ -54,6 +56,10 @@ class Recorder:
         self._reported = (0, 0)
         self._next_s = 0.0
         self._reported_s = 0.0
+        self._rotates = (
+            settings.rotate_s is not None or settings.rotate_bytes is not None
+        )
+        self._seen = 0  # frames of the daemon
         self._source.begin()
         first = self._source.first_state()
         if first is None:
@@ -93,7 +99,7 @@ class Recorder:
         FailedError if the disk is full or the file can no longer be written.
         """
         end_s = None if duration_s is None else time.monotonic() + duration_s
-        next_s = time.monotonic()
+        next_s, is_growth_said = time.monotonic(), False
         while not self.stop.is_set() and self._writing.error is None:
             now_s = time.monotonic()
             gone = False
@@ -103,6 +109,9 @@ class Recorder:
                 self._supervise(now_s)
                 next_s = now_s + SUPERVISE_S
             self._read()
+            if not is_growth_said and (growth := self._growth(self._writing.n_bytes)):
+                is_growth_said = True
+                print(f"{self.path} grows by {growth}", file=sys.stderr, flush=True)
             if gone or (end_s is not None and now_s >= end_s):
                 break
             self.stop.wait(POLL_SIMULATED_S if self._waits else POLL_S)
@@ -142,6 +151,7 @@ class Recorder:
         dropped = False
         while (batch := self._source.frames()) is not None:
             self._rotate(batch)
+            self._seen += len(batch.frames)
             if self._thinner is not None:
                 batch = self._thinner.thinned(batch)
             dropped |= len(batch.frames) > 0 and not self._writing.put(
@@ -182,12 +192,21 @@ class Recorder:
             self._reported, self._reported_s = counts, now_s
             _say(f"{_losses(*counts)} so far")
 
+    def _growth(self, n_bytes: int) -> str:
+        """Return how fast the file grows; empty while there is too little of it to say."""
+        seconds = self._seen * self._period_s
+        if seconds < GROWTH_AFTER_S or self._rotates:
+            return ""
+        return f"{n_bytes / seconds * 3600e-9:.2g} GB per hour"
+
     def _close(self) -> str:
         self._source.release_time()
         in_time = self._writing.close(CLOSE_WITHIN_S)
         self._source.close()
         error = self._writing.error
+        growth = self._growth(size_of(self.path))
         counts = f"{self._writing.written} frames in {self.path}"
+        counts += f", {growth}" if growth else ""
         if isinstance(error, OSError):
             raise FailedError(self.why_ended)
         if error is not None:

@@ -13,6 +13,7 @@ from hilserver.errors import FailedError, reason
 from hilserver.logs import LogWriter, open_writer
 from hilserver.logs.bag_writer import Storage
 from hilserver.logs.csv_writer import changes_path, meta_path
+from hilserver.logs.writer import size_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +95,7 @@ class FileSeries:
             n_bytes = complete * (self._rotate_bytes or 0) + writer.n_bytes
         else:
             n_bytes = sum(
-                _size(self._file(n)) for n in self._numbers()[-complete - 1 :]
+                size_of(self._file(n)) for n in self._numbers()[-complete - 1 :]
             )
         if n_bytes >= self._settings.max_bytes:
             raise FailedError(
@@ -134,10 +135,3 @@ class FileSeries:
             for path in (file, meta_path(file), changes_path(file)):
                 with contextlib.suppress(OSError):
                     path.unlink()
-
-
-def _size(path: Path) -> int:
-    try:
-        return path.stat().st_size
-    except OSError:
-        return 0

@@ -24,7 +24,8 @@ class WriteBehind:
     """Takes frames, states and descriptions, and writes them in order.
 
     Frames beyond the buffer are dropped and counted; `check` raises if the recording has to end,
-    and `on_new_file` is called in the writing thread.
+    and `on_new_file` is called in the writing thread. What the first `next_writer` raises, this
+    does.
     """
 
     def __init__(
@@ -47,9 +48,13 @@ class WriteBehind:
         self._closing = False
         self.dropped = self.written = 0
         self.error: Exception | None = None
-        self._writer = next_writer()
+        self._writer: LogWriter
+        self._is_begun = threading.Event()
         self._thread = threading.Thread(target=self._run, name="writer", daemon=True)
         self._thread.start()
+        self._is_begun.wait()  # set whatever happens
+        if self.error is not None:
+            raise self.error
 
     def put(self, item: Item, *, wait: bool = False) -> bool:
         """Hand over an item; False: the buffer is full and the item was dropped.
@@ -74,6 +79,11 @@ class WriteBehind:
             self._news.notify()
         return True
 
+    @property
+    def n_bytes(self) -> int:
+        """Size of the file that is written now."""
+        return self._writer.n_bytes
+
     def close(self, timeout_s: float) -> bool:
         """Write what is held, complete the file; False if that takes longer than `timeout_s`."""
         with self._news:
@@ -83,6 +93,15 @@ class WriteBehind:
         return not self._thread.is_alive()
 
     def _run(self) -> None:
+        try:
+            # a database belongs to the thread that has opened it
+            self._writer = self._next_writer()
+        except Exception as error:  # noqa: BLE001 -- handed to the main thread, which raises it
+            self.error = error
+            return
+        finally:
+            self._is_begun.set()
+
         try:
             self._write_all()
             self._writer.close()

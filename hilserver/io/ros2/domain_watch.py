@@ -47,14 +47,15 @@ class DomainWatch:
         status, matched = self._status, 0
         for name, endpoint in topics:
             matched += endpoint.matched
-            grows = self._grows(f"qos {name}", endpoint.incompatible)
+            key = f"{name} {endpoint.subject.type}"
+            grows = self._grows(f"qos {key}", endpoint.incompatible)
             if (
                 grows and endpoint.subject.topic not in apart
             ):  # else its type is what does not fit
                 sentence = f"a node's quality of service for {name} is incompatible: no data flows"
                 self._report(Ros2Fault.INCOMPATIBLE_QOS, name, sentence)
             if isinstance(endpoint, In) and (
-                more := self._grows(f"lost {name}", endpoint.lost)
+                more := self._grows(f"lost {key}", endpoint.lost)
             ):
                 status.sequence_missed += more
                 self._report(

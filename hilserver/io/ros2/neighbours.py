@@ -5,7 +5,7 @@ A participant is alive while it renews its lease, whether or not it sends messag
 
 import re
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -156,7 +156,7 @@ class Neighbours:
         found = self.known.get(participant)
         return found.label if found else "a participant that has left"
 
-    def apart(self, ours: Iterable[In | Out]) -> Iterator[tuple[Apart, str, str]]:
+    def apart(self, ours: Sequence[In | Out]) -> Iterator[tuple[Apart, str, str]]:
         """Yield why an endpoint that should fit does not: kind, topic, sentence."""
         for endpoint in ours:
             if isinstance(endpoint, In):
@@ -164,13 +164,20 @@ class Neighbours:
             else:
                 others, verb = self.readers, "reads"
             subject, partners = endpoint.subject, endpoint.partners
+            same = [one.subject for one in ours if one.subject.topic == subject.topic]
+            types = list(dict.fromkeys(one.type for one in same))
             for handle, other in others.items():
                 if other.topic != subject.topic:
                     continue
                 who = f"{self.label(other.participant)} {verb} {plain(other.topic)}"
-                if other.type != subject.type:
-                    text = f"{who} as {other.type}, which is {subject.type} here"
-                    yield Apart.OTHER_TYPE, subject.topic, text
+                if other.type not in types:
+                    if subject.type == types[0]:  # each is named once
+                        text = (
+                            f"{who} as {other.type}, which is {' or '.join(types)} here"
+                        )
+                        yield Apart.OTHER_TYPE, subject.topic, text
+                elif other.type != subject.type:
+                    continue  # fits another one of ours
                 elif _has_other_fields(other, subject):
                     text = f"{who} as {subject.type} with other fields than here"
                     yield Apart.OTHER_TYPE, subject.topic, f"{text} ({other.type_hash})"

@@ -88,7 +88,8 @@ class Ros2Node(Part):
         self._leaving: Lane[list[tuple[str, Out, bytes]]] = Lane(line, "out")
         self._participant: Participant | None = None
         self._outs: dict[str, tuple[Published, Out]] = {}
-        self._ins: dict[str, tuple[Subscribed, In]] = {}
+        # a topic may have several types
+        self._ins: list[tuple[str, Subscribed, In]] = []
         self._services: list[RosService] = []
         self._jobs: list[SupervisedTask] = []
         self._cycle = 0
@@ -113,6 +114,8 @@ class Ros2Node(Part):
         action, service = self.config.action, self._flavour.enabled_by
         if action == "hold":
             return f"{action}: it stood while its writer was alive, now Reset ends the safe state"
+        if action == "zero":
+            return f"{action}: the next command drives again"
         if action != "device":
             return action
         ways = [self.config.full_name(service)] if service else []
@@ -151,21 +154,18 @@ class Ros2Node(Part):
     def _join(self) -> Participant:
         participant, wire = Participant(self.config), self._wire
 
-        def opened(
-            open_one: Callable[..., Any], topic: Any
-        ) -> tuple[str, tuple[Any, Any]]:
+        def opened(open_one: Callable[..., Any], topic: Any) -> tuple[str, Any, Any]:
             name, kind = self.config.full_name(topic.topic), topic.type
             made = open_one(
                 f"rt{name}", wire.make(kind), topic.qos, self._types.hash(kind)
             )
-            return name, (topic, made)
+            return name, topic, made
 
-        self._outs = dict(
-            opened(participant.writer, topic) for topic in self.config.published
-        )
-        self._ins = dict(
+        written = [opened(participant.writer, topic) for topic in self.config.published]
+        self._outs = {name: (topic, writer) for name, topic, writer in written}
+        self._ins = [
             opened(participant.reader, topic) for topic in self._flavour.subscribed
-        )
+        ]
         self._services = [
             RosService(served, self.config, self._types, wire, participant)
             for served in (*self._flavour.served, *self._parameter_services())
@@ -181,10 +181,10 @@ class Ros2Node(Part):
             participant, self._types, wire, (space, NODE), ours
         )
         kinds = [published.type for published, _ in self._outs.values()]
-        for kind in kinds + [subscribed.type for subscribed, _ in self._ins.values()]:
+        for kind in kinds + [subscribed.type for _, subscribed, _ in self._ins]:
             self._types.prepare(kind)
         if self.config.publish.robot_description:
-            name, (description, writer) = opened(participant.writer, DESCRIPTION)
+            name, description, writer = opened(participant.writer, DESCRIPTION)
             text = self._world.description(self.robot.frame_prefix)
             writer.write(
                 self._types.encode(self.robot.make(description.type, data=text))
@@ -209,7 +209,7 @@ class Ros2Node(Part):
             await job.end()
         if self._participant is not None:
             await self._participant.close()
-        self._outs, self._ins, self._services, self._participant = {}, {}, [], None
+        self._outs, self._ins, self._services, self._participant = {}, [], [], None
         if self._replies is not None:
             self._replies.close()
         self._neighbours = self._announced = self._replies = self._domain_watch = None
@@ -281,7 +281,7 @@ class Ros2Node(Part):
     def _on_data(self) -> None:
         receivers: list[tuple[In, Receiver]] = [
             (reader, partial(self._receive, subscribed))
-            for subscribed, reader in self._ins.values()
+            for _, subscribed, reader in self._ins
         ]
         if self.real is not None:
             receivers.extend(self.real.receivers())
@@ -453,7 +453,7 @@ class Ros2Node(Part):
         found: list[tuple[str, Out | In]] = [
             (name, out) for name, (_, out) in self._outs.items()
         ]
-        found += [(name, reader) for name, (_, reader) in self._ins.items()]
+        found += [(name, reader) for name, _, reader in self._ins]
         return found + (self.real.endpoints if self.real is not None else [])
 
     def _report(self, kind: Ros2Fault, subject: str, sentence: str) -> None:

@@ -85,8 +85,11 @@ def test_it_stops_when_asked_with_a_complete_file(daemon, tmp_path):
     assert not log.notices
 
 
-def test_a_bag_is_complete_when_it_is_asked_to_stop(daemon, tmp_path):
-    process = recorder(daemon, tmp_path / "bag", "--format", "bag")
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_a_bag_is_complete_when_it_is_asked_to_stop(daemon, tmp_path, storage):
+    process = recorder(
+        daemon, tmp_path / "bag", "--format", "bag", "--storage", storage
+    )
     time.sleep(1.0)
     process.send_signal(signal.SIGTERM)
     code, _ = finish(process)

@@ -19,6 +19,7 @@ DRIVEN_BY = {
     "iotbot_shield": ("iotbot/rpm", lambda rpm: speeds(rpm, -rpm, rpm, -rpm)),
     "eduard": ("cmd_vel", lambda rpm: twist(rpm / 100.0)),
     "thesis_sil": ("rpm", lambda rpm: four_floats(rpm, rpm, -rpm, -rpm)),
+    "diff_drive": ("cmd_vel", lambda rpm: twist(rpm / 100.0)),
 }
 MODE_REMOTE = 2
 
@@ -33,7 +34,7 @@ class OnTheWire:
 
     async def command(self, rpm, times=10):
         """Send a command every 20 ms."""
-        topics = {topic.topic: topic for topic, _ in self.node._ins.values()}
+        topics = {topic.topic: topic for _, topic, _ in reversed(self.node._ins)}
         subscribed = topics[self._topic]
         message = known_types().make(subscribed.type, **self._fields(rpm))
         for _ in range(times):
@@ -175,6 +176,23 @@ async def test_device_after_stop_the_service_enables_once_reset_was_called(
         host.reset()
         await host.command(0.0)
         await host.enable()
+        await host.command(30.0)
+        assert host.drives
+
+
+async def test_zero_the_next_command_drives_as_diff_drive_controller_does(domain):
+    async with wire(domain, "diff_drive") as host:
+        await has_driven_and_fallen_silent(host)
+        assert host.state is State.RUNNING
+        await host.command(30.0, times=1)
+        assert host.drives
+        await host.is_silent()
+        assert not host.drives
+        host.stop()
+        await host.command(30.0)
+        host.reset()
+        await host.pass_time(1.0)
+        assert not host.drives, "what was commanded before is forgotten"
         await host.command(30.0)
         assert host.drives
 

@@ -45,6 +45,45 @@ async def test_a_real_node_drives_and_reads_the_sensors(domain):
         node.process.kill()
 
 
+TURTLEBOT = {
+    "wheel_radius_m": 0.033,
+    "wheelbase_m": None,
+    "track_m": 0.16,
+    "icr_offset_m": 0.0,
+    "max_rpm": 65,
+}
+
+
+@pytest.mark.parametrize("kind", ["Twist", "TwistStamped"])
+async def test_a_base_on_one_axle_is_driven_as_by_diff_drive_controller(domain, kind):
+    """Nodes of ROS 2 up to Jazzy write a Twist, later ones a TwistStamped, to the same topic."""
+    drive = {"linear": {"x": 0.1}, "angular": {"z": -0.5}}
+    fields = drive if kind == "Twist" else {"twist": drive}
+    node = RosNode(
+        domain,
+        {"/cmd_vel": f"geometry_msgs/msg/{kind}"},
+        {"/joint_states": "sensor_msgs/msg/JointState", "/imu": "sensor_msgs/msg/Imu"},
+    )
+    async with (
+        robot(domain, plant=TURTLEBOT, flavour="diff_drive") as daemon,
+        node,
+    ):
+        await node.is_ready()
+        node.publish("/cmd_vel", times=500, **fields)
+        left = (0.1 + 0.5 * 0.08) / 0.033
+        turns = lambda m: m["velocity"][0] == pytest.approx(left, rel=0.02)  # noqa: E731
+        joints = await node.sees("/joint_states", turns)
+        assert joints["name"] == ["base_to_wheel_left", "base_to_wheel_right"]
+        assert joints["velocity"][1] == pytest.approx((0.1 - 0.04) / 0.033, rel=0.02)
+        assert joints["position"][0] > joints["position"][1] > 0.0
+        await node.sees("/imu", lambda m: m["angular_velocity"]["z"] < -0.45)
+        status = daemon.part("ros2").status
+        await wait_until(lambda: status.participants == 1, PATIENCE_S)
+        assert status.apart == status.strangers == 0
+        assert status.fault_counts.total() == 0
+        node.process.kill()
+
+
 async def is_ready_for_one_message(node, daemon):
     """Wait until both sides know each other: a reader loses what an unknown writer sends."""
     await node.is_ready()
@@ -169,9 +208,16 @@ async def test_services_answer(domain):
         assert len((await node.answers("answer"))["result"]["names"]) > 10
 
 
-async def test_a_type_that_does_not_fit_is_told(domain):
+@pytest.mark.parametrize(
+    ("flavour", "types"),
+    [
+        ("iotbot_shield", "Twist_ here"),
+        ("diff_drive", "Twist_ or geometry_msgs::msg::dds_::TwistStamped_ here"),
+    ],
+)
+async def test_a_type_that_does_not_fit_is_told(domain, flavour, types):
     node = RosNode(domain, {"/cmd_vel": "std_msgs/msg/Float32"})
-    async with robot(domain) as daemon, node:
+    async with robot(domain, flavour=flavour) as daemon, node:
         status = daemon.part("ros2").status
         await wait_until(lambda: status.apart == status.strangers == 1, PATIENCE_S)
         faults = [
@@ -179,7 +225,7 @@ async def test_a_type_that_does_not_fit_is_told(domain):
         ]
         (told,) = [text for text in faults if "/cmd_vel" in text]
         assert "std_msgs::msg::dds_::Float32_" in told
-        assert "geometry_msgs::msg::dds_::Twist_ here" in told
+        assert f"geometry_msgs::msg::dds_::{types}" in told
         shown = await scrape(daemon)
         assert "hil_ros2_endpoints_apart 1.0" in shown
         assert 'hil_ros2_participants{kind="strange"} 1.0' in shown

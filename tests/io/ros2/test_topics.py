@@ -239,6 +239,29 @@ async def test_edu_robot(peer, domain):
         assert daemon.part("ros2").status.fault_counts.total() == 0
 
 
+async def test_a_base_of_ros2_control(fast_dds, domain):
+    written = {t.topic.strip("/"): t.type for t in FLAVOURS["diff_drive"].published}
+    topics = ("odom", "tf", "joint_states")
+    heard = [("r", f"rt/{name}", written[name], "reliable") for name in topics]
+    stamped = "geometry_msgs/msg/TwistStamped"
+    host = Host(fast_dds, domain, *heard, ("w", "rt/cmd_vel", stamped, "reliable"))
+    make = known_types().make
+    time = make("builtin_interfaces/msg/Time", sec=0, nanosec=0)
+    header = make("std_msgs/msg/Header", stamp=time, frame_id="base_link")
+    drive = make("geometry_msgs/msg/Twist", **twist(0.2))
+    async with robot(domain, flavour="diff_drive") as daemon, host:
+        async with host.repeating("rt/cmd_vel", header=header, twist=drive):
+            seen = await host.sees("rt/odom", lambda m: m.twist.twist.linear.x > 0.19)
+            assert (seen.header.frame_id, seen.child_frame_id) == ("odom", "base_link")
+            (place,) = (await host.sees("rt/tf")).transforms
+            assert (place.header.frame_id, place.child_frame_id) == (
+                "odom",
+                "base_link",
+            )
+            assert len((await host.sees("rt/joint_states")).name) == 4
+        assert daemon.part("ros2").status.fault_counts.total() == 0
+
+
 async def test_the_five_topics_of_the_thesis(peer, domain):
     host = Host(peer, domain, *endpoints("thesis_sil"))
     driving = host.repeating("rt/rpm", **four_floats(10, 20, -30, -40))
