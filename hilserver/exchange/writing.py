@@ -36,6 +36,8 @@ class RobotAnswer:
     valid: str = ""  # speeds, turn rates and logs that it was fitted to
     # standard deviation by channel, in its unit
     noise_sd: Mapping[str, float] = field(default_factory=dict)
+    # of the radii in the controller that the robot has now; `robot` has equal wheels
+    configured_difference: float = 0.0
 
     @property
     def values(self) -> dict[str, float]:
@@ -46,6 +48,12 @@ class RobotAnswer:
     def true(self) -> RobotParameters:
         """The robot with what was found."""
         return patched(self.robot, self.values)
+
+    @property
+    def configured(self) -> DriveGeometry:
+        """What the controller that the robot has now takes for its geometry."""
+        difference = {"wheel_radius_difference": self.configured_difference}
+        return DriveGeometry.of(patched(self.robot, difference))
 
     def interval(self, name: str, quantity: Callable[[DriveGeometry], float]) -> str:
         """Return a number that follows from several terms, with its 95 % interval.
@@ -116,7 +124,7 @@ def _commented(lines: list[str], mark: str = "# ") -> str:
 def _ros2_control(answer: RobotAnswer) -> dict[str, str]:
     robot, true = answer.robot, DriveGeometry.of(answer.true)
     track_m, radius_m = robot.track_m, robot.wheel_radius_m
-    simulator, gap = for_simulator(DriveGeometry.of(robot), true)
+    simulator, gap = for_simulator(answer.configured, true)
     if (
         robot.is_mecanum
     ):  # its controller has one radius, for all wheels and both directions
@@ -132,6 +140,11 @@ def _ros2_control(answer: RobotAnswer) -> dict[str, str]:
         notes.append(
             f"icr_offset: put base_link {forward_m:.6g} m further forward in the URDF"
         )
+    if answer.configured_difference and "wheel_radius_difference" not in answer.values:
+        notes.append(
+            f"The radii in your file differ by {answer.configured_difference:.3%}, which the log"
+            " did not show: if the report says that it could not, keep your two multipliers"
+        )
 
     real = _about(
         answer,
@@ -146,8 +159,8 @@ def _ros2_control(answer: RobotAnswer) -> dict[str, str]:
     )
     simulated = _about(
         answer,
-        "For the simulator: with these the simulated robot, whose wheels are those of the"
-        " configuration, moves as the real one does with the parameters that it has now.",
+        "For the simulator: with these the simulated robot, whose wheels roll as its"
+        " controller assumes today, moves as the real one does with the parameters that it has now.",
         f"What these numbers cannot copy: {gap:.2g} of the turn rate (unequal wheels)"
         if gap > 1e-9
         else "These numbers hold all of wheel radii and separation that was found.",
@@ -332,6 +345,18 @@ def _tables(answer: RobotAnswer) -> dict[str, str]:
     text = json.dumps(document, indent=1, ensure_ascii=False) + "\n"
     return {"parameters.csv": table.getvalue(), "parameters.json": text}
 
+
+WRITTEN: Final = (
+    "parameters.csv",
+    "parameters.json",
+    "ros2_control/real_robot.yaml",
+    "ros2_control/simulator.yaml",
+    "robot_localization/ekf.yaml",
+    "urdf/wheels.urdf",
+    "sdf/wheels.sdf",
+    "simulink/robot_parameters.m",
+)
+"""Every file that may be written, so that those of an older diagnosis are known."""
 
 FORMATS: Final[Mapping[str, Callable[[RobotAnswer], dict[str, str]]]] = {
     "ros2_control": _ros2_control,

@@ -58,6 +58,21 @@ def test_what_the_mapping_says_differently_is_a_line(written):
     )
 
 
+def test_unequal_multipliers_are_read_and_a_line_says_what_becomes_of_them(written):
+    text = TURTLEBOT.replace(
+        "    wheel_separation_multiplier",
+        "    left_wheel_radius_multiplier: 1.02\n"
+        "    right_wheel_radius_multiplier: 1.0\n"
+        "    wheel_separation_multiplier",
+    )
+    found = read_robot(written("controllers.yaml", text))
+    assert found.plant["wheel_radius_m"] == pytest.approx(0.033 * 1.01)
+    assert found.wheel_radius_difference == pytest.approx(0.02 / 1.01)
+    (line,) = found.against({})
+    assert "1.980% larger" in line
+    assert "begins with equal wheels" in line
+
+
 @pytest.mark.parametrize(
     ("name", "text", "says"),
     [

@@ -11,7 +11,14 @@ import numpy as np
 import pytest
 import yaml
 
-from hilserver.exchange import FORMATS, FoundTerm, RobotAnswer, files_for, read_robot
+from hilserver.exchange import (
+    FORMATS,
+    WRITTEN,
+    FoundTerm,
+    RobotAnswer,
+    files_for,
+    read_robot,
+)
 from hilserver.exchange.geometry import DriveGeometry, patched
 from tests.exchange.robots import (
     BURGER,
@@ -120,6 +127,27 @@ def test_the_simulated_robot_moves_as_the_real_one(robot, terms):
         simulated = driven(rig(robot), *simulator.wheels(*twist))
         assert simulated.velocity == pytest.approx(real.velocity, abs=1e-9)
         assert simulated.pose == pytest.approx(real.pose, abs=1e-9)
+
+
+def test_a_controller_with_unequal_radii_is_what_the_simulator_starts_from():
+    """Its real robot has equal wheels: the simulated one must pull aside as that does."""
+    configured = {"wheel_radius_difference": 0.02}
+    found = answer(DIFFERENTIAL, {}, configured_difference=0.02)
+    files = files_for(found, ("ros2_control",))
+    assert "multipliers" in files["ros2_control/real_robot.yaml"]
+    today = files_for(answer(DIFFERENTIAL, configured), ("ros2_control",))
+    now = DiffDrive(parameters(today, "real_robot.yaml"))
+    simulator = DiffDrive(parameters(files, "simulator.yaml"))
+    for twist in TWISTS:
+        real = driven(rig(DIFFERENTIAL), *now.wheels(*twist))
+        simulated = driven(rig(DIFFERENTIAL, configured), *simulator.wheels(*twist))
+        assert simulated.velocity == pytest.approx(real.velocity, abs=1e-9)
+
+
+def test_no_file_is_written_that_an_older_diagnosis_could_leave_behind():
+    for robot in (DIFFERENTIAL, MECANUM):
+        files = files_for(answer(robot, {}), tuple(FORMATS))
+        assert set(files) == set(WRITTEN)
 
 
 def test_the_gap_that_unequal_wheels_leave_is_printed(robot):
