@@ -160,7 +160,7 @@ def _ros2_control(answer: RobotAnswer) -> dict[str, str]:
     simulated = _about(
         answer,
         "For the simulator: with these the simulated robot, whose wheels roll as its"
-        " controller assumes today, moves as the real one does with the parameters that it has now.",
+        " controller assumes today, moves as the real one does with the parameters it has now.",
         f"What these numbers cannot copy: {gap:.2g} of the turn rate (unequal wheels)"
         if gap > 1e-9
         else "These numbers hold all of wheel radii and separation that was found.",
