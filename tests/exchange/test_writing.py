@@ -199,16 +199,53 @@ def mecanum_twist(given, wheels):
     )
 
 
+def mecanum_wheels(given, vx, vy, om):
+    """mecanum_drive_controller's command; wheels fl, rl, rr, fr, forward positive."""
+    r = given["kinematics"]["wheels_radius"]
+    turn = given["kinematics"]["sum_of_robot_center_projection_on_X_Y_axis"] * om
+    return (
+        np.array([vx - vy - turn, vx + vy - turn, vx - vy + turn, vx + vy + turn]) / r
+    )
+
+
+def rolled(plant, wheels):
+    """The plant, whose wheels fl, rl, rr, fr turn with these speeds [rad/s], forward positive."""
+    rpm = wheels[[0, 1, 3, 2]] * RPM * np.array([1, 1, -1, -1])
+    plant.x.speed = plant.x.motor = rpm
+    plant.x.integral = rpm / MECANUM.process.gain
+    return plant.wheels(*rpm).step(1000)
+
+
+@pytest.mark.parametrize(
+    "terms",
+    [{"wheel_radius": 0.04, "rotation_gain": -0.1}, {"rotation_gain": 0.2}],
+)
+def test_a_simulated_mecanum_drive_moves_as_the_real_one(terms):
+    files = files_for(answer(MECANUM, terms), ("ros2_control",))
+    today = files_for(answer(MECANUM, {}), ("ros2_control",))
+    now, simulator = (
+        parameters(today, "real_robot.yaml"), parameters(files, "simulator.yaml")
+    )  # fmt: skip
+    assert now != simulator
+    for twist in (
+        (0.2, 0.0, 0.0),
+        (0.0, 0.15, 0.0),
+        (0.1, -0.1, 0.5),
+        (0.0, 0.0, -0.6),
+    ):
+        real = rolled(rig(MECANUM, terms), mecanum_wheels(now, *twist))
+        simulated = rolled(rig(MECANUM), mecanum_wheels(simulator, *twist))
+        assert np.abs(real.velocity).max() > 0.1
+        assert simulated.velocity == pytest.approx(real.velocity, abs=1e-9)
+        assert simulated.pose == pytest.approx(real.pose, abs=1e-9)
+
+
 def test_mecanum_odometry_is_right_and_the_file_is_read_again(tmp_path):
     terms = {"wheel_radius": 0.04, "rotation_gain": -0.1}
     files = files_for(answer(MECANUM, terms), ("ros2_control",))
     given = parameters(files, "real_robot.yaml")
     wheels = np.array([2.0, 3.0, 1.0, 4.0])
-    real = rig(MECANUM, terms)
-    rpm = wheels[[0, 1, 3, 2]] * RPM * np.array([1, 1, -1, -1])
-    real.x.speed = real.x.motor = rpm
-    real.x.integral = rpm / MECANUM.process.gain
-    real.wheels(*rpm).step(10)
+    real = rolled(rig(MECANUM, terms), wheels)
     assert mecanum_twist(given, wheels) == pytest.approx(real.velocity, abs=1e-12)
 
     (tmp_path / "real.yaml").write_text(files["ros2_control/real_robot.yaml"])
