@@ -145,6 +145,7 @@ def _ros2_control(answer: RobotAnswer) -> dict[str, str]:
             f"The radii in your file differ by {answer.configured_difference:.3%}, which the log"
             " did not show: if the report says that it could not, keep your two multipliers"
         )
+    notes += _limits(answer)
 
     real = _about(
         answer,
@@ -170,6 +171,27 @@ def _ros2_control(answer: RobotAnswer) -> dict[str, str]:
         "real_robot.yaml": _commented(real) + real_text,
         "simulator.yaml": _commented(simulated) + simulator_text,
     }
+
+
+def _limits(answer: RobotAnswer) -> list[str]:
+    """Return the limits of speed and acceleration, straight ahead and on the spot, as comments."""
+    true = DriveGeometry.of(answer.true)
+    rolled_m = true.radius_m * RAD_S_PER_RPM  # in a second, at 1 rpm
+    turned_rad = 2.0 * rolled_m / true.separation_m
+    most_rpm = answer.robot.max_rpm
+    lines = [
+        f"Wheels of {most_rpm:.6g} rpm at most (of the configuration) allow, straight ahead and on"
+        f" the spot: linear.x.max_velocity: {most_rpm * rolled_m:.6g}, angular.z.max_velocity:"
+        f" {most_rpm * turned_rad:.6g}"
+    ]
+    if "setpoint_rate_limit" in answer.values:
+        rate_rpm_s = answer.values["setpoint_rate_limit"]
+        lines.append(
+            "setpoint_rate_limit, straight ahead and on the spot: linear.x.max_acceleration:"
+            f" {rate_rpm_s * rolled_m:.6g}, angular.z.max_acceleration:"
+            f" {rate_rpm_s * turned_rad:.6g}"
+        )
+    return lines
 
 
 def _covariances(answer: RobotAnswer) -> list[str]:
@@ -212,7 +234,9 @@ def _robot_localization(answer: RobotAnswer) -> dict[str, str]:
                 f"variance of {name}, for its message: {answer.noise_sd[name] ** 2:.3g}"
             )
     notes.append(
-        "process_noise_covariance: a log shows no process noise; keep the default"
+        "process_noise_covariance: 'hilserver observe LOG --findings findings.json' prints the"
+        " standard deviation s of the motion of a metre and of its heading; at v m/s, s^2 v belongs"
+        " on the diagonal of x and y, and of yaw. Without it keep the default"
     )
     purpose = "For robot_localization, which takes covariances from the messages, not from here."
     return {
@@ -239,6 +263,12 @@ def _of_simulated_body(answer: RobotAnswer, kind: str) -> str:
     notes.append(
         "Inertia and friction of the floor are not measured: keep those that you have"
     )
+    if "friction_anisotropy.ratio" in answer.values:
+        ratio = answer.values["friction_anisotropy.ratio"]
+        notes.append(
+            f"friction_anisotropy: across the wheels {ratio:.4g} times the friction along them"
+            " (mu2 over mu, with fdir1 along the wheel)"
+        )
     if answer.robot.wheelbase_m is None:
         notes.append(
             "Two wheels stand as far apart as they turn the robot; if yours has four that"

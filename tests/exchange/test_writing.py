@@ -296,6 +296,31 @@ def test_covariances_follow_from_the_noise_of_the_wheels():
     assert diagonal[5] == pytest.approx(2 * side / 0.2**2, rel=1e-2)
 
 
+def test_limits_follow_from_the_wheels_and_what_they_are_asked():
+    found = answer(DIFFERENTIAL, {"wheel_radius": 0.1, "setpoint_rate_limit": 100.0})
+    files = files_for(found, ("ros2_control",))
+    for text in files.values():
+        if "max_velocity" not in text:
+            continue
+        limits = {
+            name: float(text.partition(f"{name}: ")[2].split()[0].rstrip(","))
+            for name in ("linear.x.max_velocity", "angular.z.max_velocity",
+                         "linear.x.max_acceleration", "angular.z.max_acceleration")
+        }  # fmt: skip
+        side = DIFFERENTIAL.max_rpm / RPM * 0.044
+        rise = 100.0 / RPM * 0.044
+        wanted = (side, 2 * side / 0.2, rise, 2 * rise / 0.2)
+        assert tuple(limits.values()) == pytest.approx(wanted, rel=1e-5)
+    assert sum("max_velocity" in text for text in files.values()) == 2
+
+
+def test_what_is_known_of_friction_and_of_the_motions_noise_is_a_comment():
+    found = answer(SKID, {"friction_anisotropy.ratio": 1.3})
+    files = files_for(found, ("sdf", "robot_localization"))
+    assert "1.3 times the friction along" in files["sdf/wheels.sdf"]
+    assert "hilserver observe" in files["robot_localization/ekf.yaml"]
+
+
 def test_the_table_has_a_row_per_number():
     files = files_for(answer(DIFFERENTIAL, {"wheel_radius": 0.1}), ())
     rows = {
