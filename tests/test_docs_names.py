@@ -23,7 +23,7 @@ KEY = re.compile(r"[a-z_0-9]+(?:\[\])?(?:\.[a-z_0-9]+(?:\[\])?)+")
 SCHEMA = json.loads((ROOT / "config.schema.json").read_text("utf-8"))
 CODE = "".join(p.read_text("utf-8") for p in ROOT.glob("hilserver/**/*.py"))
 SIGNAL = re.compile(r"[a-z]\w*(?:\.\w+)+")
-NOT_SIGNALS = (".py", ".yaml", ".csv", ".md", ".mcap")
+NOT_SIGNALS = (".py", ".yaml", ".csv", ".md", ".mcap", ".tum", ".kitti")
 FILES = (".jsonl", ".mcap", ".py")
 NOT_FILES = {"hilserver/msg/Frame"}  # a ROS type
 

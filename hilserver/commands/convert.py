@@ -3,6 +3,9 @@
 The suffix of OUT chooses: .csv, .mcap, .mf4, .parquet; without a suffix (or with --bag) it is the
 folder of a bag. Signals keep every bit; EduArt's topics in a bag are float32, as on the real robot.
 CSV and Parquet hold no status codes, Parquet no run to replay.
+
+With --format, only the poses of the log are written, measured and estimated: TUM or KITTI files for
+evo, or a bag of nav_msgs/Odometry; OUT is a new folder.
 """
 
 import argparse
@@ -10,6 +13,7 @@ from pathlib import Path
 
 from hilserver.commands.options import add_mapping, add_storage, warn
 from hilserver.errors import EXIT_DONE, FailedError, LogError, reason
+from hilserver.exchange.trajectories import WRITERS, on_common_times, trajectories_of
 from hilserver.logs import Log
 from hilserver.logs.bag_writer import Storage
 from hilserver.logs.mf4 import write_mf4
@@ -31,12 +35,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--bag", action="store_true", help="write a bag, whatever OUT is called"
     )
     add_storage(parser)
+    parser.add_argument(
+        "--format",
+        choices=tuple(WRITERS),
+        help="write the poses alone, as trajectories: TUM or KITTI files, or a bag of odometry",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Convert; 0, or 2 when IN cannot be read."""
     is_bag = args.bag or args.out.suffix == ""
-    if not is_bag and args.out.suffix not in SUFFIXES:
+    if args.format and args.bag:
+        raise FailedError("--bag writes all signals, --format the poses: choose one")
+    if not args.format and not is_bag and args.out.suffix not in SUFFIXES:
         raise FailedError(
             f"{args.out}: end the name in {', '.join(SUFFIXES)}, or in no suffix for a bag"
         )
@@ -46,8 +57,14 @@ def run(args: argparse.Namespace) -> int:
     warn(*log.notices)
     if not len(log):
         raise LogError(f"{args.log}: contains no rows; there is nothing to convert")
+    trajectories = trajectories_of(log) if args.format else []
+    if args.format == "kitti":
+        trajectories = on_common_times(trajectories)
     try:
-        _write(log, args.out, args.storage if is_bag else None)
+        if args.format:
+            WRITERS[args.format](trajectories, args.out, args.storage)
+        else:
+            _write(log, args.out, args.storage if is_bag else None)
     except BaseException as error:  # a signal, too, leaves no half of a file
         forget(args.out)
         if isinstance(error, OSError):
@@ -55,7 +72,12 @@ def run(args: argparse.Namespace) -> int:
                 f"{args.out}: cannot be written: {reason(error)}"
             ) from None
         raise
-    print(f"{len(log)} rows of {len(log.columns)} signals in {args.out}")
+    if not args.format:
+        print(f"{len(log)} rows of {len(log.columns)} signals in {args.out}")
+        return EXIT_DONE
+    for one in trajectories:
+        without = "" if one.has_yaw else ", without a heading: compare its places alone"
+        print(f"{one.name}, segment {one.segment}: {len(one.t_s)} poses{without}")
     return EXIT_DONE
 
 

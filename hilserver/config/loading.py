@@ -59,6 +59,17 @@ def load(path: Path, model: type[Model], most_bytes: int = MAX_BYTES) -> Model:
     return result
 
 
+def nodes_of(path: Path) -> yaml.Node | None:
+    """Return the YAML nodes of a file of other programs, within the limits of our own files.
+
+    Keys may be there twice, and any value is what it is. ConfigError if it is not YAML.
+    """
+    root = _parse(path)
+    for _ in _bounded(path, root):
+        pass
+    return root
+
+
 def checked(model: type[Model], data: Any, what: str = "") -> Model:
     """Return data of a program, which has no file; ConfigError says the same of it as of a file.
 
@@ -174,15 +185,7 @@ _UNREADABLE = (ValueError, LookupError, AttributeError)
 def _construct(path: Path, root: yaml.Node | None) -> Any:
     if root is None:
         return {}
-    for number, (node, depth) in enumerate(_walk(root)):
-        if depth > MAX_NESTING:
-            raise _too_deep(path, node.start_mark)
-        if number >= MAX_VALUES:
-            raise _wrong(
-                path,
-                node.start_mark,
-                f"more than {MAX_VALUES} values; use fewer aliases",
-            )
+    for node in _bounded(path, root):
         if isinstance(node, yaml.ScalarNode):
             misread = _misread(node)
             if misread:
@@ -211,6 +214,20 @@ def _construct(path: Path, root: yaml.Node | None) -> Any:
         )
         raise _wrong(path, node.start_mark, f"a value cannot be read: {why}") from None
     return {} if found is None else found
+
+
+def _bounded(path: Path, root: yaml.Node | None) -> Iterator[yaml.Node]:
+    """Yield every node, as often as aliases use it; ConfigError if there are too many."""
+    for number, (node, depth) in enumerate(() if root is None else _walk(root)):
+        if depth > MAX_NESTING:
+            raise _too_deep(path, node.start_mark)
+        if number >= MAX_VALUES:
+            raise _wrong(
+                path,
+                node.start_mark,
+                f"more than {MAX_VALUES} values; use fewer aliases",
+            )
+        yield node
 
 
 def _misread(node: yaml.ScalarNode) -> str:

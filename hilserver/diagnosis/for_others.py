@@ -1,6 +1,8 @@
 """From a diagnosis to the files of other programs (`hilserver diagnose --for`)."""
 
+from dataclasses import replace
 from math import hypot
+from pathlib import Path
 
 import yaml
 
@@ -8,21 +10,47 @@ from hilserver.config.patch import FittedIn
 from hilserver.diagnosis.findings.patch import MAX_NAMES
 from hilserver.diagnosis.schema.evidence import Diagnosis
 from hilserver.diagnosis.schema.findings import Findings
-from hilserver.exchange import DescribedRobot, FoundTerm, RobotAnswer, files_for
+from hilserver.exchange import (
+    WRITTEN,
+    DescribedRobot,
+    FoundTerm,
+    RobotAnswer,
+    files_for,
+)
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.terms import main_part
 
 
 def user_files(
-    diagnosis: Diagnosis, robot: RobotParameters, formats: tuple[str, ...]
+    diagnosis: Diagnosis,
+    robot: RobotParameters,
+    formats: tuple[str, ...],
+    configured_difference: float = 0.0,
 ) -> dict[str, str]:
-    """Return the text of each file by its path; those of groups stand in folders of their own."""
+    """Return the text of each file by its path; those of groups stand in folders of their own.
+
+    Parameters
+    ----------
+    configured_difference : float
+        Of the wheels' radii in the controller that the robot has now.
+    """
     files: dict[str, str] = {}
     for group in diagnosis.findings.groups or ("",):
         folder = f"for/{group}" if group else "for"
-        written = files_for(_answer(diagnosis, robot, group), formats)
+        answer = _answer(diagnosis, robot, group)
+        answer = replace(answer, configured_difference=configured_difference)
+        written = files_for(answer, formats)
         files |= {f"{folder}/{name}": text for name, text in written.items()}
     return files
+
+
+def older_files(folder: Path) -> list[str]:
+    """Return what a diagnosis wrote for other programs into a folder, alone or for groups."""
+    below = folder / "for"
+    groups = [below, *(group for group in below.glob("*") if group.is_dir())]
+    names = ("config.yaml", *WRITTEN)
+    found = (group / name for group in groups for name in names)
+    return [str(file.relative_to(folder)) for file in found if file.is_file()]
 
 
 def configuration(described: DescribedRobot) -> dict[str, str]:

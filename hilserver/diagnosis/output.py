@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from hilserver.diagnosis.findings.patch import as_yaml, make_patch
+from hilserver.diagnosis.for_others import older_files
 from hilserver.diagnosis.report import render
 from hilserver.diagnosis.schema.evidence import Diagnosis
 from hilserver.diagnosis.schema.findings import Findings
@@ -57,7 +58,7 @@ def write(folder: Path, files: Mapping[str, str]) -> None:
     FailedError
         If the folder cannot be written.
     """
-    write_files(folder, files, (FINDINGS, PATCH, REPORT))
+    write_files(folder, files, (FINDINGS, PATCH, REPORT, *older_files(folder)))
 
 
 def write_files(

@@ -153,8 +153,11 @@ def run(
     except UserError as error:
         return TaskOutcome(error.exit_code, str(error))
     found, files = diagnosis.findings, documents(diagnosis)
+    difference = 0.0
     if task.robot:
-        files |= configuration(read_robot(task.robot))
+        described = read_robot(task.robot)
+        difference = described.wheel_radius_difference
+        files |= configuration(described)
     if task.formats and diagnosis.robot is not None:
-        files |= user_files(diagnosis, diagnosis.robot, task.formats)
+        files |= user_files(diagnosis, diagnosis.robot, task.formats, difference)
     return TaskOutcome(line=one_line(found), summary=summary(found), files=files)

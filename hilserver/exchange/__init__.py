@@ -4,10 +4,17 @@ The same files describe the robot to begin with.
 """
 
 from hilserver.exchange.reading import DescribedRobot, read_robot
-from hilserver.exchange.writing import FORMATS, FoundTerm, RobotAnswer, files_for
+from hilserver.exchange.writing import (
+    FORMATS,
+    WRITTEN,
+    FoundTerm,
+    RobotAnswer,
+    files_for,
+)
 
 __all__ = [
     "FORMATS",
+    "WRITTEN",
     "DescribedRobot",
     "FoundTerm",
     "RobotAnswer",

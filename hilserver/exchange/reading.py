@@ -20,7 +20,7 @@ class DescribedRobot:
     rotation_gain : float or str
         `kinematics.rotation_gain`.
     wheel_radius_difference : float
-        As the term of this name; a diagnosis looks for it as for any other.
+        As the term of this name; a diagnosis begins with equal wheels and looks for it itself.
     """
 
     plant: dict[str, Any]
@@ -28,13 +28,20 @@ class DescribedRobot:
     wheel_radius_difference: float = 0.0
 
     def against(self, keys: Mapping[str, Any]) -> list[str]:
-        """Return a line per number that other keys, which win, set to another value."""
+        """Return a line per number that is not used as it stands: other keys win over it."""
         own = {**self.plant, "rotation_gain": self.rotation_gain}
-        return [
+        lines = [
             f"{name} is {keys[name]} in the mapping, which holds, and {value} in the robot's file"
             for name, value in own.items()
             if name in keys and keys[name] != value
         ]
+        if self.wheel_radius_difference:
+            lines.append(
+                f"the left radius is {self.wheel_radius_difference:.3%} larger than the right one"
+                " in the robot's file; the diagnosis begins with equal wheels, to see whether the"
+                " log shows this difference"
+            )
+        return lines
 
 
 def read_robot(path: Path) -> DescribedRobot:

@@ -1,12 +1,13 @@
 """Parameters of diff_drive_controller and mecanum_drive_controller of ros2_control."""
 
 from collections.abc import Iterator, Mapping
+from math import nan
 from pathlib import Path
 from typing import Any, Final
 
-from pydantic import RootModel
+import yaml
 
-from hilserver.config.loading import load
+from hilserver.config.loading import nodes_of
 from hilserver.errors import ConfigError
 from hilserver.exchange.geometry import DriveGeometry
 from hilserver.plant.units import RPM_PER_RAD_S
@@ -15,50 +16,91 @@ DIFFERENTIAL: Final = "diff_drive_controller"
 MECANUM: Final = "mecanum_drive_controller"
 PROJECTION: Final = "kinematics.sum_of_robot_center_projection_on_X_Y_axis"
 RADIUS: Final = "kinematics.wheels_radius"
+TURTLEBOT3: Final = "wheels.separation with wheels.radius (turtlebot3_node)"
+OF_TURTLEBOT3: Final = {
+    "wheels.separation": "wheel_separation",
+    "wheels.radius": "wheel_radius",
+}
+FASTEST: Final = "linear.x.max_velocity"
+HAS_FASTEST: Final = "linear.x.has_velocity_limits"  # of older versions
+OFFSETS: Final = tuple(f"kinematics.base_frame_offset.{n}" for n in ("x", "y", "theta"))
 Read = tuple[dict[str, Any], float | str, float]
-
-
-class _Nodes(RootModel[dict[str, Any]]):
-    """A file of ROS 2 parameters."""
+Named = tuple[str, dict[str, object]]
 
 
 def read(path: Path) -> Read:
     """Return plant keys, K_om and the difference of the radii; ConfigError if there are none."""
-    for parameters in _parameters(load(path, _Nodes).root):
-        steered = next((name for name in parameters if "steer" in name), None)
-        if steered is not None:
-            raise ConfigError(
-                f"{path}: '{steered}' says that this robot steers its wheels; name the file of a"
-                f" {DIFFERENTIAL} or {MECANUM}"
-            )
-        if "wheel_separation" in parameters and "wheel_radius" in parameters:
-            return _differential(path, parameters)
-        if PROJECTION in parameters and RADIUS in parameters:
-            return _mecanum(path, parameters)
-    raise ConfigError(
-        f"{path}: no ros__parameters have wheel_separation with wheel_radius ({DIFFERENTIAL}) or"
-        f" {RADIUS} with {PROJECTION.rpartition('.')[2]} ({MECANUM}); name the file with"
-        " the parameters of one of these controllers"
-    )
-
-
-def _parameters(node: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """Yield the parameters of each node, with dots for their groups."""
-    for name, inner in node.items():
-        if not isinstance(inner, dict):
+    found: dict[str, Read] = {}
+    steering: list[str] = []
+    for node, parameters in _nodes(nodes_of(path)):
+        steered = [name for name in parameters if "steer" in name]
+        steering += steered
+        if steered:
             continue
+        if "wheel_separation" in parameters and "wheel_radius" in parameters:
+            found[node] = _differential(path, parameters)
+        elif PROJECTION in parameters and RADIUS in parameters:
+            found[node] = _mecanum(path, parameters)
+        elif OF_TURTLEBOT3.keys() <= parameters.keys():
+            known = {new: parameters[old] for old, new in OF_TURTLEBOT3.items()}
+            found[node] = _differential(path, known)
+    if steering and not found:
+        raise ConfigError(
+            f"{path}: '{steering[0]}' says that this robot steers its wheels; name the file of a"
+            f" {DIFFERENTIAL} or {MECANUM}"
+        )
+    if not found:
+        raise ConfigError(
+            f"{path}: no ros__parameters have wheel_separation with wheel_radius ({DIFFERENTIAL}),"
+            f" {RADIUS} with {PROJECTION.rpartition('.')[2]} ({MECANUM}) or {TURTLEBOT3}; name the"
+            " file with the parameters of one of these"
+        )
+    first, *others = found
+    for other in others:
+        if found[other] != found[first]:
+            raise ConfigError(
+                f"{path}: describes two robots, {first} and {other}; leave the parameters of one"
+            )
+    return found[first]
+
+
+def _nodes(root: yaml.Node | None, above: str = "") -> Iterator[Named]:
+    """Yield name and parameters of each node, with dots for their groups.
+
+    A name may be there twice, as in the files of TurtleBot3: ROS 2 takes both.
+    """
+    for name, inner in _entries(root):
         if name == "ros__parameters":
-            yield dict(_flat(inner))
-        else:
-            yield from _parameters(inner)
+            yield above, dict(_flat(inner))
+        elif isinstance(inner, yaml.MappingNode):
+            yield from _nodes(inner, f"{above}/{name}".replace("//", "/"))
 
 
-def _flat(group: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
-    for name, value in group.items():
-        if isinstance(value, dict):
+def _flat(group: yaml.Node, before: str = "") -> Iterator[tuple[str, object]]:
+    for name, value in _entries(group):
+        if isinstance(value, yaml.MappingNode):
             yield from _flat(value, f"{before}{name}.")
         else:
-            yield f"{before}{name}", value
+            yield f"{before}{name}", _scalar(value)
+
+
+def _entries(node: yaml.Node | None) -> Iterator[tuple[str, yaml.Node]]:
+    if isinstance(node, yaml.MappingNode):
+        for key, value in node.value:
+            yield str(key.value), value
+
+
+def _scalar(node: yaml.Node) -> object:
+    """Return a number as float, true or false as such, a list as its nodes, all else as a text."""
+    kind = node.tag.rpartition(":")[2]
+    if kind == "bool":
+        return node.value.lower() in ("true", "yes", "on")
+    if kind not in ("int", "float"):
+        return node.value
+    try:
+        return float(node.value.lower().replace(".nan", "nan").replace(".inf", "inf"))
+    except ValueError:
+        return node.value
 
 
 def _number(
@@ -86,8 +128,10 @@ def _differential(path: Path, parameters: Mapping[str, Any]) -> Read:
         "wheelbase_m": None,
         "icr_offset_m": 0.0,
     }
-    if "linear.x.max_velocity" in parameters:
-        fastest_m_s = _number(path, parameters, "linear.x.max_velocity", None)
+    limit = parameters.get(FASTEST, nan)
+    is_limited = parameters.get(HAS_FASTEST, True) and limit == limit  # noqa: PLR0124 (NaN)
+    if is_limited:
+        fastest_m_s = _number(path, parameters, FASTEST, None)
         plant["max_rpm"] = fastest_m_s / mean_m * RPM_PER_RAD_S
     gain = "geometric_diff" if factor == 1.0 else 1.0 / (separation_m * factor)
     return plant, gain, 2.0 * (left - right) / (left + right)
@@ -97,6 +141,12 @@ def _mecanum(path: Path, parameters: Mapping[str, Any]) -> Read:
     # The controller knows the sum of half wheelbase and half track alone; so does the plant's
     # nominal K_om, and equal halves are as good as any.
     half_sum_m = _number(path, parameters, PROJECTION, None)
+    other = next((n for n in OFFSETS if parameters.get(n, 0.0) != 0.0), None)
+    if other is not None:
+        raise ConfigError(
+            f"{path}: {other} is {parameters[other]}: the wheels do not stand around base_link; set"
+            " it to 0, and measure poses in the middle of the wheels"
+        )
     plant = {
         "drive": "mecanum",
         "wheel_radius_m": _number(path, parameters, RADIUS, None),

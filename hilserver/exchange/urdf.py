@@ -15,6 +15,7 @@ from hilserver.small_file import read_small
 LARGEST_URDF: Final = 10_000_000
 MOST_JOINTS: Final = 100  # joints from a wheel up to the base
 ALONG_Y: Final = 0.95  # least share of the axis; wheels with camber are wheels
+UPRIGHT: Final = 0.7  # least share of the axis about which castors swivel
 
 Read = tuple[dict[str, Any], float | str, float]
 
@@ -58,13 +59,17 @@ def read(path: Path) -> Read:
     left_m = sum(w.radius_m for w in left) / len(left)
     right_m = sum(w.radius_m for w in right) / len(right)
     x_m = [wheel.x_m for wheel in wheels]
-    plant = {
+    plant: dict[str, Any] = {
         "wheel_radius_m": (left_m + right_m) / 2.0,
         "track_m": sum(w.y_m for w in left) / len(left)
         - sum(w.y_m for w in right) / len(right),
         "wheelbase_m": max(x_m) - min(x_m) if len(left) == 2 else None,
         "icr_offset_m": 0.0,
     }
+    # no element of a URDF says that wheels have rollers, but names and meshes do
+    names = " ".join(value for node in root.iter() for value in node.attrib.values())
+    if len(left) == 2 and "mecanum" in names.lower():
+        plant["drive"] = "mecanum"
     gain = "geometric_diff" if len(left) == 1 else "geometric_skid"
     return plant, gain, 2.0 * (left_m - right_m) / (left_m + right_m)
 
@@ -74,15 +79,18 @@ def _wheels(path: Path, root: Xml.Element) -> list[_RollingWheel]:
     links = {link.get("name"): link for link in root.iter("link")}
     wheels: list[_RollingWheel] = []
     without: list[str] = []
+    for joint in root.iter("joint"):
+        if "steer" in joint.get("name", "").lower():
+            raise ConfigError(
+                f"{path}: joint {joint.get('name')} says that this robot steers its wheels; only"
+                " robots that turn by unequal speeds of their wheels can be read"
+            )
     for child, joint in joints.items():
         if joint.get("type") != "continuous" or child not in links:
             continue
-        place, rotation, is_fixed = _pose(path, joint, joints)
-        axis_node = joint.find("axis")
-        own = "1 0 0" if axis_node is None else axis_node.get("xyz", "1 0 0")
-        axis = rotation @ _vector(path, own)
+        place, axis, swivels = _pose(path, joint, joints)
         # castors swivel before they roll, and a lidar turns about z
-        if not is_fixed or abs(axis[1]) < ALONG_Y * np.linalg.norm(axis):
+        if swivels or abs(axis[1]) < ALONG_Y:
             continue
         radius_m = _radius_m(path, links[child])
         if radius_m is None:
@@ -118,22 +126,29 @@ def _vector(path: Path, text: str) -> Any:
 
 
 def _pose(path: Path, joint: Xml.Element, joints: dict[str, Xml.Element]) -> Any:
-    """Return place and rotation of a joint in the base, and if all joints up to it are fixed."""
-    place, rotation, is_fixed = np.zeros(3), np.eye(3), True
-    above: Xml.Element | None = joint
-    for _ in range(MOST_JOINTS):
-        if above is None:
-            return place, rotation, is_fixed
-        is_fixed = is_fixed and (above is joint or above.get("type") == "fixed")
-        origin = above.find("origin")
+    """Return place and axis of a joint in the base, and whether it swivels about an upright one."""
+    chain = [joint]
+    while (above := joints.get(_link(chain[0], "parent"))) is not None:
+        chain.insert(0, above)
+        if len(chain) > MOST_JOINTS:
+            raise ConfigError(
+                f"{path}: its joints form a circle; correct parent and child"
+            )
+    place, rotation, swivels = np.zeros(3), np.eye(3), False
+    for one in chain:
+        origin = one.find("origin")
         if origin is not None:
-            turn = Rotation.from_euler(
-                "xyz", _vector(path, origin.get("rpy", "0 0 0"))
-            ).as_matrix()
-            place = turn @ place + _vector(path, origin.get("xyz", "0 0 0"))
-            rotation = turn @ rotation
-        above = joints.get(_link(above, "parent"))
-    raise ConfigError(f"{path}: its joints form a circle; correct parent and child")
+            angles = _vector(path, origin.get("rpy", "0 0 0"))
+            place = place + rotation @ _vector(path, origin.get("xyz", "0 0 0"))
+            rotation = rotation @ Rotation.from_euler("xyz", angles).as_matrix()
+        node = one.find("axis")
+        own = "1 0 0" if node is None else node.get("xyz", "1 0 0")
+        axis = rotation @ _vector(path, own)
+        axis = axis / max(float(np.linalg.norm(axis)), 1e-9)
+        # a wheel's spring or rocker leaves it a wheel of the robot
+        if one is not joint and one.get("type") in ("continuous", "revolute"):
+            swivels = swivels or abs(axis[2]) > UPRIGHT
+    return place, axis, swivels
 
 
 def _radius_m(path: Path, link: Xml.Element) -> float | None:

@@ -36,6 +36,8 @@ class RobotAnswer:
     valid: str = ""  # speeds, turn rates and logs that it was fitted to
     # standard deviation by channel, in its unit
     noise_sd: Mapping[str, float] = field(default_factory=dict)
+    # of the radii in the controller that the robot has now; `robot` has equal wheels
+    configured_difference: float = 0.0
 
     @property
     def values(self) -> dict[str, float]:
@@ -46,6 +48,12 @@ class RobotAnswer:
     def true(self) -> RobotParameters:
         """The robot with what was found."""
         return patched(self.robot, self.values)
+
+    @property
+    def configured(self) -> DriveGeometry:
+        """What the controller that the robot has now takes for its geometry."""
+        difference = {"wheel_radius_difference": self.configured_difference}
+        return DriveGeometry.of(patched(self.robot, difference))
 
     def interval(self, name: str, quantity: Callable[[DriveGeometry], float]) -> str:
         """Return a number that follows from several terms, with its 95 % interval.
@@ -116,7 +124,7 @@ def _commented(lines: list[str], mark: str = "# ") -> str:
 def _ros2_control(answer: RobotAnswer) -> dict[str, str]:
     robot, true = answer.robot, DriveGeometry.of(answer.true)
     track_m, radius_m = robot.track_m, robot.wheel_radius_m
-    simulator, gap = for_simulator(DriveGeometry.of(robot), true)
+    simulator, gap = for_simulator(answer.configured, true)
     if (
         robot.is_mecanum
     ):  # its controller has one radius, for all wheels and both directions
@@ -132,6 +140,12 @@ def _ros2_control(answer: RobotAnswer) -> dict[str, str]:
         notes.append(
             f"icr_offset: put base_link {forward_m:.6g} m further forward in the URDF"
         )
+    if answer.configured_difference and "wheel_radius_difference" not in answer.values:
+        notes.append(
+            f"The radii in your file differ by {answer.configured_difference:.3%}, which the log"
+            " did not show: if the report says that it could not, keep your two multipliers"
+        )
+    notes += _limits(answer)
 
     real = _about(
         answer,
@@ -146,8 +160,8 @@ def _ros2_control(answer: RobotAnswer) -> dict[str, str]:
     )
     simulated = _about(
         answer,
-        "For the simulator: with these the simulated robot, whose wheels are those of the"
-        " configuration, moves as the real one does with the parameters that it has now.",
+        "For the simulator: with these the simulated robot, whose wheels roll as its"
+        " controller assumes today, moves as the real one does with the parameters it has now.",
         f"What these numbers cannot copy: {gap:.2g} of the turn rate (unequal wheels)"
         if gap > 1e-9
         else "These numbers hold all of wheel radii and separation that was found.",
@@ -157,6 +171,27 @@ def _ros2_control(answer: RobotAnswer) -> dict[str, str]:
         "real_robot.yaml": _commented(real) + real_text,
         "simulator.yaml": _commented(simulated) + simulator_text,
     }
+
+
+def _limits(answer: RobotAnswer) -> list[str]:
+    """Return the limits of speed and acceleration, straight ahead and on the spot, as comments."""
+    true = DriveGeometry.of(answer.true)
+    rolled_m = true.radius_m * RAD_S_PER_RPM  # in a second, at 1 rpm
+    turned_rad = 2.0 * rolled_m / true.separation_m
+    most_rpm = answer.robot.max_rpm
+    lines = [
+        f"Wheels of {most_rpm:.6g} rpm at most (of the configuration) allow, straight ahead and on"
+        f" the spot: linear.x.max_velocity: {most_rpm * rolled_m:.6g}, angular.z.max_velocity:"
+        f" {most_rpm * turned_rad:.6g}"
+    ]
+    if "setpoint_rate_limit" in answer.values:
+        rate_rpm_s = answer.values["setpoint_rate_limit"]
+        lines.append(
+            "setpoint_rate_limit, straight ahead and on the spot: linear.x.max_acceleration:"
+            f" {rate_rpm_s * rolled_m:.6g}, angular.z.max_acceleration:"
+            f" {rate_rpm_s * turned_rad:.6g}"
+        )
+    return lines
 
 
 def _covariances(answer: RobotAnswer) -> list[str]:
@@ -199,7 +234,9 @@ def _robot_localization(answer: RobotAnswer) -> dict[str, str]:
                 f"variance of {name}, for its message: {answer.noise_sd[name] ** 2:.3g}"
             )
     notes.append(
-        "process_noise_covariance: a log shows no process noise; keep the default"
+        "process_noise_covariance: 'hilserver observe LOG --findings findings.json' prints the"
+        " standard deviation s of the motion of a metre and of its heading; at v m/s, s^2 v belongs"
+        " on the diagonal of x and y, and of yaw. Without it keep the default"
     )
     purpose = "For robot_localization, which takes covariances from the messages, not from here."
     return {
@@ -226,6 +263,12 @@ def _of_simulated_body(answer: RobotAnswer, kind: str) -> str:
     notes.append(
         "Inertia and friction of the floor are not measured: keep those that you have"
     )
+    if "friction_anisotropy.ratio" in answer.values:
+        ratio = answer.values["friction_anisotropy.ratio"]
+        notes.append(
+            f"friction_anisotropy: across the wheels {ratio:.4g} times the friction along them"
+            " (mu2 over mu, with fdir1 along the wheel)"
+        )
     if answer.robot.wheelbase_m is None:
         notes.append(
             "Two wheels stand as far apart as they turn the robot; if yours has four that"
@@ -332,6 +375,18 @@ def _tables(answer: RobotAnswer) -> dict[str, str]:
     text = json.dumps(document, indent=1, ensure_ascii=False) + "\n"
     return {"parameters.csv": table.getvalue(), "parameters.json": text}
 
+
+WRITTEN: Final = (
+    "parameters.csv",
+    "parameters.json",
+    "ros2_control/real_robot.yaml",
+    "ros2_control/simulator.yaml",
+    "robot_localization/ekf.yaml",
+    "urdf/wheels.urdf",
+    "sdf/wheels.sdf",
+    "simulink/robot_parameters.m",
+)
+"""Every file that may be written, so that those of an older diagnosis are known."""
 
 FORMATS: Final[Mapping[str, Callable[[RobotAnswer], dict[str, str]]]] = {
     "ros2_control": _ros2_control,

@@ -164,11 +164,11 @@ def odometry(robot: RosFrame) -> Iterator[Any]:
     place_m, heading_rad = SHARE * o.way_m + LEAST_M, SHARE * o.turned_rad + LEAST_RAD
     speed_m_s = SHARE * math.hypot(ahead, aside) + LEAST_M
     pose, twist = (o.x_m, o.y_m, o.yaw_rad), (ahead, aside, turning)
-    motion = _planar(
+    motion = planar_covariance(
         speed_m_s**2, speed_m_s**2, (SHARE * abs(turning) + LEAST_RAD) ** 2
     )
-    place = _planar(place_m**2, place_m**2, heading_rad**2)
-    yield _odometry(robot, "odom", pose, place, twist, motion)
+    place = planar_covariance(place_m**2, place_m**2, heading_rad**2)
+    yield planar_odometry(robot, "odom", pose, place, twist, motion)
 
 
 def estimate(robot: RosFrame) -> Iterator[Any]:
@@ -178,25 +178,25 @@ def estimate(robot: RosFrame) -> Iterator[Any]:
     e = {
         name: robot[f"estimate.{name}"] for name in (*_STATES, *_DEVIATIONS, *_TOGETHER)
     }
-    place = _planar(*(e[f"{name}_sd"] ** 2 for name in _STATES[:3]))
+    place = planar_covariance(*(e[f"{name}_sd"] ** 2 for name in _STATES[:3]))
     for (i, j), name in zip(((0, 1), (0, 5), (1, 5)), _TOGETHER, strict=True):
         place[i, j] = place[j, i] = e[name]
-    motion = _planar(
+    motion = planar_covariance(
         e["linear_m_s_sd"] ** 2, UNKNOWN_VARIANCE, e["angular_rad_s_sd"] ** 2
     )
     pose, twist = (
         (e["x_m"], e["y_m"], e["yaw_rad"]),
         (e["linear_m_s"], 0.0, e["angular_rad_s"]),
     )
-    yield _odometry(robot, "map", pose, place, twist, motion)
+    yield planar_odometry(robot, "map", pose, place, twist, motion)
 
 
-def _planar(ahead: float, aside: float, turn: float) -> NDArray[np.float64]:
+def planar_covariance(ahead: float, aside: float, turn: float) -> NDArray[np.float64]:
     """Return the covariance of planar motion from its variances, shape (6, 6)."""
     return np.diag([ahead, aside, *[UNKNOWN_VARIANCE] * 3, turn])
 
 
-def _odometry(
+def planar_odometry(
     robot: RosFrame,
     frame: str,
     pose: tuple[float, float, float],

@@ -73,6 +73,19 @@ def test_without_an_extension_there_is_no_patch_and_an_old_one_goes(tmp_path):
     assert json.loads((tmp_path / "findings.json").read_text())["model_patch"] is None
 
 
+def test_older_files_for_other_programs_go_and_those_of_the_user_stay(tmp_path):
+    older = ("for/config.yaml", "for/urdf/wheels.urdf", "for/sand/parameters.csv")
+    for name in (*older, "for/notes.txt", "for/sand/my.urdf", "for/sdf/wheels.sdf"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("older")
+    write(tmp_path, {"findings.json": "", "for/sdf/wheels.sdf": "newer"})
+    left = {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file()}
+    assert left == {
+        "findings.json", "for/notes.txt", "for/sand/my.urdf", "for/sdf/wheels.sdf"
+    }  # fmt: skip
+    assert (tmp_path / "for/sdf/wheels.sdf").read_text() == "newer"
+
+
 def test_findings_stand_last_so_that_they_mean_all_is_there():
     assert list(documents(Diagnosis(findings(), FITTED)))[-1] == "findings.json"
 

@@ -6,6 +6,7 @@ TURTLEBOT = """\
 controller_manager:
   ros__parameters:
     update_rate: 50
+    use_sim_time: False
     diffdrive_controller: {type: diff_drive_controller/DiffDriveController}
 
 diffdrive_controller:
@@ -15,6 +16,8 @@ diffdrive_controller:
     wheel_separation: 0.16
     wheel_radius: 0.033
     wheel_separation_multiplier: 1.112
+    pose_covariance_diagonal: [0.001, 0.001, 0.001, 0.001, 0.001, 0.01]
+    open_loop: false
     linear: {x: {max_velocity: 0.5}}
 """
 HUSKY = """\
@@ -27,7 +30,32 @@ HUSKY = """\
     wheels_per_side: 2
     wheel_radius: 0.1651
     wheel_separation_multiplier: 1.875
+    enable_odom_tf: true
+    linear.x.has_velocity_limits: true
     linear.x.max_velocity: 1.0
+"""
+OF_ITS_MAKER = """\
+/**:
+  turtlebot3_node:
+    ros__parameters:
+      enable_stamped_cmd_vel: true
+      wheels:
+        separation: 0.160
+        radius: 0.033
+/**:
+  diff_drive_controller:
+    ros__parameters:
+      odometry: {publish_tf: true, frame_id: odom}
+"""
+FOUR_ROLLERS = """\
+/**:
+  mecanum_controller:
+    ros__parameters:
+      use_stamped_vel: false
+      kinematics:
+        base_frame_offset: {x: 0.0, y: 0.0, theta: 0.0}
+        wheels_radius: 0.05
+        sum_of_robot_center_projection_on_X_Y_axis: 0.4704
 """
 BURGER = """\
 <robot name="burger">

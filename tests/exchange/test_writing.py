@@ -11,7 +11,14 @@ import numpy as np
 import pytest
 import yaml
 
-from hilserver.exchange import FORMATS, FoundTerm, RobotAnswer, files_for, read_robot
+from hilserver.exchange import (
+    FORMATS,
+    WRITTEN,
+    FoundTerm,
+    RobotAnswer,
+    files_for,
+    read_robot,
+)
 from hilserver.exchange.geometry import DriveGeometry, patched
 from tests.exchange.robots import (
     BURGER,
@@ -122,6 +129,27 @@ def test_the_simulated_robot_moves_as_the_real_one(robot, terms):
         assert simulated.pose == pytest.approx(real.pose, abs=1e-9)
 
 
+def test_a_controller_with_unequal_radii_is_what_the_simulator_starts_from():
+    """Its real robot has equal wheels: the simulated one must pull aside as that does."""
+    configured = {"wheel_radius_difference": 0.02}
+    found = answer(DIFFERENTIAL, {}, configured_difference=0.02)
+    files = files_for(found, ("ros2_control",))
+    assert "multipliers" in files["ros2_control/real_robot.yaml"]
+    today = files_for(answer(DIFFERENTIAL, configured), ("ros2_control",))
+    now = DiffDrive(parameters(today, "real_robot.yaml"))
+    simulator = DiffDrive(parameters(files, "simulator.yaml"))
+    for twist in TWISTS:
+        real = driven(rig(DIFFERENTIAL), *now.wheels(*twist))
+        simulated = driven(rig(DIFFERENTIAL, configured), *simulator.wheels(*twist))
+        assert simulated.velocity == pytest.approx(real.velocity, abs=1e-9)
+
+
+def test_no_file_is_written_that_an_older_diagnosis_could_leave_behind():
+    for robot in (DIFFERENTIAL, MECANUM):
+        files = files_for(answer(robot, {}), tuple(FORMATS))
+        assert set(files) == set(WRITTEN)
+
+
 def test_the_gap_that_unequal_wheels_leave_is_printed(robot):
     terms = EQUAL | UNEQUAL
     files = files_for(answer(robot, terms), ("ros2_control",))
@@ -171,16 +199,53 @@ def mecanum_twist(given, wheels):
     )
 
 
+def mecanum_wheels(given, vx, vy, om):
+    """mecanum_drive_controller's command; wheels fl, rl, rr, fr, forward positive."""
+    r = given["kinematics"]["wheels_radius"]
+    turn = given["kinematics"]["sum_of_robot_center_projection_on_X_Y_axis"] * om
+    return (
+        np.array([vx - vy - turn, vx + vy - turn, vx - vy + turn, vx + vy + turn]) / r
+    )
+
+
+def rolled(plant, wheels):
+    """The plant, whose wheels fl, rl, rr, fr turn with these speeds [rad/s], forward positive."""
+    rpm = wheels[[0, 1, 3, 2]] * RPM * np.array([1, 1, -1, -1])
+    plant.x.speed = plant.x.motor = rpm
+    plant.x.integral = rpm / MECANUM.process.gain
+    return plant.wheels(*rpm).step(1000)
+
+
+@pytest.mark.parametrize(
+    "terms",
+    [{"wheel_radius": 0.04, "rotation_gain": -0.1}, {"rotation_gain": 0.2}],
+)
+def test_a_simulated_mecanum_drive_moves_as_the_real_one(terms):
+    files = files_for(answer(MECANUM, terms), ("ros2_control",))
+    today = files_for(answer(MECANUM, {}), ("ros2_control",))
+    now, simulator = (
+        parameters(today, "real_robot.yaml"), parameters(files, "simulator.yaml")
+    )  # fmt: skip
+    assert now != simulator
+    for twist in (
+        (0.2, 0.0, 0.0),
+        (0.0, 0.15, 0.0),
+        (0.1, -0.1, 0.5),
+        (0.0, 0.0, -0.6),
+    ):
+        real = rolled(rig(MECANUM, terms), mecanum_wheels(now, *twist))
+        simulated = rolled(rig(MECANUM), mecanum_wheels(simulator, *twist))
+        assert np.abs(real.velocity).max() > 0.1
+        assert simulated.velocity == pytest.approx(real.velocity, abs=1e-9)
+        assert simulated.pose == pytest.approx(real.pose, abs=1e-9)
+
+
 def test_mecanum_odometry_is_right_and_the_file_is_read_again(tmp_path):
     terms = {"wheel_radius": 0.04, "rotation_gain": -0.1}
     files = files_for(answer(MECANUM, terms), ("ros2_control",))
     given = parameters(files, "real_robot.yaml")
     wheels = np.array([2.0, 3.0, 1.0, 4.0])
-    real = rig(MECANUM, terms)
-    rpm = wheels[[0, 1, 3, 2]] * RPM * np.array([1, 1, -1, -1])
-    real.x.speed = real.x.motor = rpm
-    real.x.integral = rpm / MECANUM.process.gain
-    real.wheels(*rpm).step(10)
+    real = rolled(rig(MECANUM, terms), wheels)
     assert mecanum_twist(given, wheels) == pytest.approx(real.velocity, abs=1e-12)
 
     (tmp_path / "real.yaml").write_text(files["ros2_control/real_robot.yaml"])
@@ -229,6 +294,31 @@ def test_covariances_follow_from_the_noise_of_the_wheels():
     side = (0.04 * 0.6 / RPM) ** 2
     assert diagonal[0] == pytest.approx(side / 2, rel=1e-2)
     assert diagonal[5] == pytest.approx(2 * side / 0.2**2, rel=1e-2)
+
+
+def test_limits_follow_from_the_wheels_and_what_they_are_asked():
+    found = answer(DIFFERENTIAL, {"wheel_radius": 0.1, "setpoint_rate_limit": 100.0})
+    files = files_for(found, ("ros2_control",))
+    for text in files.values():
+        if "max_velocity" not in text:
+            continue
+        limits = {
+            name: float(text.partition(f"{name}: ")[2].split()[0].rstrip(","))
+            for name in ("linear.x.max_velocity", "angular.z.max_velocity",
+                         "linear.x.max_acceleration", "angular.z.max_acceleration")
+        }  # fmt: skip
+        side = DIFFERENTIAL.max_rpm / RPM * 0.044
+        rise = 100.0 / RPM * 0.044
+        wanted = (side, 2 * side / 0.2, rise, 2 * rise / 0.2)
+        assert tuple(limits.values()) == pytest.approx(wanted, rel=1e-5)
+    assert sum("max_velocity" in text for text in files.values()) == 2
+
+
+def test_what_is_known_of_friction_and_of_the_motions_noise_is_a_comment():
+    found = answer(SKID, {"friction_anisotropy.ratio": 1.3})
+    files = files_for(found, ("sdf", "robot_localization"))
+    assert "1.3 times the friction along" in files["sdf/wheels.sdf"]
+    assert "hilserver observe" in files["robot_localization/ekf.yaml"]
 
 
 def test_the_table_has_a_row_per_number():
