@@ -1,13 +1,12 @@
 """What marks on the floor say about a robot: findings, gain and what they cannot show."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 
-from hilserver.arrays import Array, Indices
-from hilserver.diagnosis.catalogue.candidate import Candidate
+from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.library import pose_candidates
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES, unit_of
 from hilserver.diagnosis.findings.outcome import fitted_finding, parameters_of
@@ -19,8 +18,9 @@ from hilserver.diagnosis.marks.search import (
     MarksSearch,
     MarksTrial,
 )
+from hilserver.diagnosis.marks.slip import RandomSlip
 from hilserver.diagnosis.regression.stages import stages_of
-from hilserver.diagnosis.replay.model import Fitted
+from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.diagnosis.schema.findings import Detectable, Finding, Gain
 from hilserver.measured.data import MeasuredLog
@@ -41,8 +41,11 @@ WITH_HEADING: Final = frozenset({"icr_offset", "wheel_misalignment"})
 BEYOND_MARKS: Final = (
     "marks say where the robot came to, not when or how: they show dimensions"
 )
+NO_DIRECTION: Final = (
+    "are not used: they end near their first mark, and nobody knows in which direction; mark the"
+    " heading in which they began (yaw_rad), or drive back onto the mark (same_as_t_s)"
+)
 TOO_WEAK: Final = "hardly excited: the marks of these runs cannot show it"
-LARGEST_SIZE: Final = 0.5  # a size beyond which no cause of these is sought
 FOLDS: Final = 5
 DRAWS: Final = 999
 MISFIT: Final = 4.0  # variance; the marks then miss by twice their standard deviations
@@ -108,9 +111,9 @@ def judge_marks(
             f" start and the end of {max(FEWEST_MARKED_RUNS, len(candidates))} or more"
         )
         few = dict.fromkeys((c.cause for c in candidates), text)
-        return ByMarks(reasons=reasons | few, notices=(text,))
+        return ByMarks(reasons=reasons | few, notices=(text, *lost_runs(runs)))
 
-    search = MarksSearch(runs, candidates, informing, report)
+    search = MarksSearch(runs, RandomSlip(runs), candidates, informing, report)
     return searched(search, reasons, rng)
 
 
@@ -118,7 +121,10 @@ def searched(
     search: MarksSearch, reasons: dict[str, str], rng: np.random.Generator
 ) -> ByMarks:
     """Return what a search finds; `reasons` lose the causes that it judges."""
-    runs, candidates, informing = search.runs, list(search.candidates), search.chosen
+    runs, informing, candidates = search.runs, search.chosen, search.candidates
+    nothing = search.trial(Model())
+    shown = [one for one in candidates if search.shows(nothing, one)]
+    search = replace(search, candidates=shown)
     trial = search.select()
     found = findings_by_marks(search, trial)
     smallest = smallest_by_marks(search, trial)
@@ -134,8 +140,9 @@ def searched(
         trial.model.fitted,
         smallest,
         reasons,
-        {"position_m": gain_by_marks(runs, candidates, informing, rng)},
-        notices_of(search.level(trial)[0], len(informing), int(runs.freedom.sum())),
+        {"position_m": gain_by_marks(search, rng)},
+        notices_of(search.level(trial)[0], len(informing), int(runs.freedom.sum()))
+        + lost_runs(runs),
         ranges_of(runs.stage),
     )
 
@@ -157,12 +164,15 @@ def findings_by_marks(search: MarksSearch, trial: MarksTrial) -> list[Finding]:
 
 def smallest_by_marks(search: MarksSearch, trial: MarksTrial) -> tuple[Detectable, ...]:
     """Return the smallest effects that would have shown, without those that hardly show."""
-    found = []
-    for candidate in search.candidates:
-        size, unit = search.smallest(trial, candidate), unit_of(candidate.cause)
-        if size <= LARGEST_SIZE:
-            found.append(Detectable(cause=candidate.cause, size=size, unit=unit))
-    return tuple(found)
+    return tuple(
+        Detectable(
+            cause=candidate.cause,
+            size=search.smallest(trial, candidate),
+            unit=unit_of(candidate.cause),
+        )
+        for candidate in search.candidates
+        if search.shows(trial, candidate)
+    )
 
 
 def whole_runs(
@@ -199,27 +209,27 @@ def notices_of(variance: float, runs: int, freedom: int) -> tuple[str, ...]:
     return (
         said,
         f"The marks scatter {np.sqrt(variance):.1f} times as much as their standard deviations"
-        " say, whatever the cause: wheels slip differently in every run, or sd_m is too small."
+        " say, and slip of the wheels explain: sd_m is too small, or the floor is uneven."
         " All intervals allow for it.",
     )
 
 
-def gain_by_marks(
-    runs: MarkedRuns,
-    candidates: list[Candidate],
-    informing: Indices,
-    rng: np.random.Generator,
-) -> Gain:
+def lost_runs(runs: MarkedRuns) -> tuple[str, ...]:
+    """Return what a reader should know of runs that show nothing."""
+    if not runs.lost:
+        return ()
+    return (f"{runs.lost} of {len(runs.marks)} runs {NO_DIRECTION}",)
+
+
+def gain_by_marks(search: MarksSearch, rng: np.random.Generator) -> Gain:
     """Return how much nearer to the marks runs end that took no part in selection and fit."""
-    before, after, held = (
-        runs.residual({}),
-        runs.residual({}).copy(),
-        min(FOLDS, len(informing)),
-    )
+    runs, informing = search.runs, search.chosen
+    before, after = runs.residual({}), runs.residual({}).copy()
+    held = min(FOLDS, len(informing))
     for fold in range(held):
         test = informing[fold::held]
         train = np.setdiff1d(informing, test)
-        model = MarksSearch(runs, candidates, train).select().model
+        model = replace(search, chosen=train).select().model
         rows = rows_of(runs, test)
         after[rows] = runs.residual(model.terms)[rows]
     first, second = (_miss_m(runs, one)[informing] for one in (before, after))

@@ -1,7 +1,7 @@
 """The runs of a log that have marks, and how far a model misses them."""
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final
 
 import numpy as np
 
@@ -9,10 +9,13 @@ from hilserver.arrays import Array, Indices, Mask
 from hilserver.diagnosis.replay.pose_stage import PoseStage
 from hilserver.measured.floor_marks import FloorMark
 
-BEGIN_STEPS = 4
-MISSES_KEPT = (
-    64  # predictions that are needed again: the base, and models of several folds
+YAW_STEPS: Final = 3
+ONE_PLACE: Final = 5.0  # standard deviations; marks that are nearer may be one place
+DISTINCT: Final = (
+    2.0  # a distance's miss must be so many times smaller, or its sign is unknown
 )
+# predictions that are needed again: the base, and models of several folds
+MISSES_KEPT: Final = 64
 
 
 class MarkedRuns:
@@ -30,6 +33,11 @@ class MarkedRuns:
         Whether it is a length [m], not a heading [rad].
     freedom : ndarray of int, shape (runs,)
         What the marks of each run show besides where it began.
+    times_s : ndarray, shape (points,)
+        When each pose is needed: that of all marks, then that which relative marks refer to.
+    run_of_point : ndarray of int, shape (points,)
+    lost : int
+        Runs that show nothing: they end where they began, and no heading is marked.
     """
 
     def __init__(self, stage: PoseStage) -> None:
@@ -41,13 +49,98 @@ class MarkedRuns:
         ]
         self.segments = sorted({segment for segment, _ in own})
         self.marks = [[m for s, m in own if s == segment] for segment in self.segments]
+        self._flatten()
+        poses = self.poses_in(self.course({}))
+        count = len(self.marks)
+        places = np.bincount(self._run_of[self._placed], minlength=count)
+        lost = (places > 0) & ~self._meet_without_heading(poses)
+        begins = np.where(self._turns, 3, 2) * (places > 0)
+        rows = np.bincount(self.run, minlength=count)
+        self.freedom = np.where(lost, 0, rows - begins)
+        self.lost = int(lost.sum())
 
-        rows = [_rows(marks) for marks in self.marks]
-        self.run = np.repeat(np.arange(len(rows)), [len(sd) for sd, _ in rows])
-        self.sd = np.array([sd for sds, _ in rows for sd in sds])
-        self.is_place = np.array([one for _, kinds in rows for one in kinds], bool)
-        free = [_free_directions(marks) for marks in self.marks]
-        self.freedom = np.bincount(self.run, minlength=len(rows)) - np.array(free, int)
+    def _flatten(self) -> None:
+        """Write all marks as columns; absolute and relative ones have indices."""
+        marks = [mark for own in self.marks for mark in own]
+        self._run_of = np.repeat(np.arange(len(self.marks)), list(map(len, self.marks)))
+        self._placed = _where(marks, lambda m: m.x_m is not None)
+        self._same = _where(marks, lambda m: m.same_as_t_s is not None)
+        self._ahead = _where(marks, lambda m: m.forward_m is not None)
+        headed = _where(marks, lambda m: m.yaw_rad is not None)
+        self._headings = np.intersect1d(headed, self._placed)
+        self._turned = np.setdiff1d(headed, self._placed)
+
+        self._marked = np.array([complex(m.x_m or 0.0, m.y_m or 0.0) for m in marks])
+        self._forward_m = np.array([m.forward_m or 0.0 for m in marks])
+        self._yaw = np.array([m.yaw_rad or 0.0 for m in marks])
+        self._sd_m = np.array([m.sd_m for m in marks])
+        self._yaw_sd = np.array([m.yaw_sd_rad for m in marks])
+        others = [m.t_s if m.other_t_s is None else m.other_t_s for m in marks]
+        self.times_s = np.array([*(m.t_s for m in marks), *others])
+        self.run_of_point = np.tile(self._run_of, 2)
+
+        lengths = [*[self._placed] * 2, *[self._same] * 2, self._ahead]
+        angles = [self._headings, self._turned]
+        of_row = np.concatenate(lengths + angles)
+        self.run = self._run_of[of_row]
+        self.is_place = np.arange(len(of_row)) < sum(map(len, lengths))
+        self.sd = np.where(self.is_place, self._sd_m[of_row], self._yaw_sd[of_row])
+
+    def _meet_without_heading(self, poses: Array) -> Mask:
+        """Return which runs can be compared; find those whose marks show their first heading.
+
+        The direction of a mark is unknown in a run without a heading. Where all marks may be one
+        place, they count as one that is known so much worse; elsewhere only the distance counts.
+        Either says something about a robot only if it was driven much farther than that.
+        """
+        count, run = len(self.marks), self._run_of[self._placed]
+        driven = abs(self._from_middle(_complex(poses)[self._placed]))
+        marked = abs(self._from_middle(self._marked[self._placed]))
+        sd_m = self._sd_m[self._placed]
+
+        def most(values: Array) -> Array:
+            found = np.zeros(count)
+            np.maximum.at(found, run, values)
+            return found
+
+        self._headed = np.bincount(self._run_of[self._headings], minlength=count) > 0
+        self._turns = self._headed | (2.0 * most(marked) > ONE_PLACE * most(sd_m))
+        vague = np.where(self._turns, most(abs(driven - marked)), most(marked))
+        one = ~self._turns[run]
+        self._marked[self._placed[one]] = 0.0
+        worse = np.where(one, np.hypot(sd_m, marked), sd_m)
+        self.sd[: 2 * len(run)] = np.tile(worse, 2)
+        return np.asarray(self._headed | (most(driven) > DISTINCT * vague))
+
+    def _from_middle(self, values: Array) -> Array:
+        """Return absolute marks, or what a replay says of them, from the middle of their run."""
+        run, weight = self._run_of[self._placed], self._sd_m[self._placed] ** -2.0
+        total = self._sums(run, weight).real
+        middle = self._sums(run, weight * values) / np.maximum(total, 1e-300)
+        return np.asarray(values - middle[run])
+
+    def _sums(self, run: Indices, values: Array) -> Array:
+        """Return the sums of each run, complex."""
+        count, values = len(self.marks), np.asarray(values, complex)
+        real, imaginary = (
+            np.bincount(run, part, count) for part in (values.real, values.imag)
+        )
+        return np.asarray(real + 1j * imaginary)
+
+    def course(self, terms: Mapping[str, float]) -> Array:
+        """Return x, y and yaw of a model at every tick, each segment from zero."""
+        segments = self.stage.segments
+        return self.stage.simulate(terms, np.zeros((len(segments), 3)))[:, :3]
+
+    def poses_in(self, course: Array) -> Array:
+        """Return the poses of a course at the times of all points, shape (points, 3)."""
+        segments, found = self.stage.segments, np.empty((len(self.times_s), 3))
+        for run, segment in enumerate(self.segments):
+            mine = self.run_of_point == run
+            own = course[segments.first[segment] : segments.first[segment + 1]]
+            t_s, when = segments.times(segment), self.times_s[mine]
+            found[mine] = np.stack([np.interp(when, t_s, c) for c in own.T], axis=1)
+        return found
 
     def residual(self, terms: Mapping[str, float]) -> Array:
         """Return by how much a model misses the marks, in standard deviations, shape (rows,)."""
@@ -55,116 +148,53 @@ class MarkedRuns:
         if key not in self._kept:
             if len(self._kept) >= MISSES_KEPT:
                 del self._kept[next(iter(self._kept))]
-            self._kept[key] = self._missed(terms) / self.sd
+            self._kept[key] = self.missed(self.poses_in(self.course(terms))) / self.sd
         return self._kept[key]
 
-    def _missed(self, terms: Mapping[str, float]) -> Array:
-        segments = self.stage.segments
-        dense = self.stage.simulate(terms, np.zeros((len(segments), 3)))
-        missed = []
-        for segment, marks in zip(self.segments, self.marks, strict=True):
-            t_s = segments.times(segment)
-            course = dense[segments.first[segment] : segments.first[segment + 1], :3]
+    def missed(self, poses: Array) -> Array:
+        """Return by how much poses at all points miss the marks [m, rad], shape (rows,)."""
+        here, there = np.split(poses, 2)
+        moved = (_complex(here) - _complex(there)) * np.exp(-1j * there[:, 2])
+        same, sign = moved[self._same], np.where(self._forward_m < 0.0, -1.0, 1.0)
+        ahead = (self._forward_m - sign * abs(moved))[self._ahead]
+        turned = _wrapped(self._yaw - here[:, 2] + there[:, 2])[self._turned]
+        off, off_yaw = self._of_places(here)
+        return np.concatenate(
+            [off.real, off.imag, -same.real, -same.imag, ahead, off_yaw, turned]
+        )
 
-            def at(
-                when: Sequence[float], t_s: Array = t_s, course: Array = course
-            ) -> Array:
-                return np.stack([np.interp(when, t_s, c) for c in course.T], axis=1)
+    def _of_places(self, poses: Array) -> tuple[Array, Array]:
+        """Return by how much absolute marks are missed if each run begins where it fits best."""
+        run, of_heading = self._run_of[self._placed], self._run_of[self._headings]
+        weight, yaw_weight = (
+            sd**-2.0 for sd in (self._sd_m[self._placed], self._yaw_sd[self._headings])
+        )
+        driven = self._from_middle(_complex(poses)[self._placed])
+        marked = self._from_middle(self._marked[self._placed])
+        off_yaw = _wrapped(self._yaw - poses[:, 2])[self._headings]
 
-            absolute = [m for m in marks if m.x_m is not None]
-            relative = [m for m in marks if m.x_m is None]
-            if absolute:
-                missed += _of_places(absolute, at([m.t_s for m in absolute]))
-            for mark in relative:
-                here, there = at([mark.t_s, float(mark.other_t_s or 0.0)])
-                missed += _of_relation(mark, here, there)
-        return np.array(missed)
-
-
-def _rows(marks: Sequence[FloorMark]) -> tuple[list[float], list[bool]]:
-    """Return standard deviations and kinds of all rows of a run, absolute marks first."""
-    sd: list[float] = []
-    kinds: list[bool] = []
-    for mark in sorted(marks, key=lambda m: m.x_m is None):
-        lengths = 1 if mark.forward_m is not None else 2
-        headings = int(mark.yaw_rad is not None)
-        sd += [mark.sd_m] * lengths + [mark.yaw_sd_rad] * headings
-        kinds += [True] * lengths + [False] * headings
-    return sd, kinds
-
-
-def _free_directions(marks: Sequence[FloorMark]) -> int:
-    """Return how many numbers of a run say where it began."""
-    absolute = [m for m in marks if m.x_m is not None]
-    if not absolute:
-        return 0
-    return 3 if _turns(absolute) else 2
+        # a first guess by the headings, or else by the places, and then the least squares of both
+        by_heading = self._sums(of_heading, np.exp(1j * off_yaw))
+        by_place = self._sums(run, weight * np.conj(driven) * marked)
+        yaw = np.angle(np.where(self._headed, by_heading, by_place)) * self._turns
+        known = self._sums(run, weight * abs(driven) ** 2).real
+        known += self._sums(of_heading, yaw_weight).real
+        for _ in range(YAW_STEPS):
+            turned = driven * np.exp(1j * yaw[run])
+            pull = self._sums(run, weight * (np.conj(turned) * marked).imag).real
+            rest = _wrapped(off_yaw - yaw[of_heading])
+            pull += self._sums(of_heading, yaw_weight * rest).real
+            yaw = yaw + pull / np.maximum(known, 1e-300) * self._turns
+        off = marked - driven * np.exp(1j * yaw[run])
+        return off, _wrapped(off_yaw - yaw[of_heading])
 
 
-def _turns(absolute: Sequence[FloorMark]) -> bool:
-    """Return whether absolute marks show the heading in which a run began.
-
-    If all of them are at one place and none has a heading, only their distances count.
-    """
-    if any(m.yaw_rad is not None for m in absolute):
-        return True
-    apart_m = np.ptp([(m.x_m or 0.0, m.y_m or 0.0) for m in absolute], axis=0).max()
-    return bool(apart_m > 5.0 * max(m.sd_m for m in absolute))
+def _where(marks: Sequence[FloorMark], is_one: Callable[[FloorMark], bool]) -> Indices:
+    return np.array([i for i, mark in enumerate(marks) if is_one(mark)], int)
 
 
-def _of_places(marks: Sequence[FloorMark], course: Array) -> list[float]:
-    """Return by how much a course misses absolute marks, if it begins where it fits them best."""
-    marked = np.array([complex(m.x_m or 0.0, m.y_m or 0.0) for m in marks])
-    driven = course[:, 0] + 1j * course[:, 1]
-    weight = np.array([m.sd_m**-2 for m in marks])
-    weight /= weight.sum()
-    known = [i for i, m in enumerate(marks) if m.yaw_rad is not None]
-    headings = np.array([marks[i].yaw_rad for i in known], float)
-    turns = _turns(marks)
-
-    yaw = 0.0
-    if known:
-        yaw = float(np.angle(np.exp(1j * (headings - course[known, 2])).mean()))
-    elif turns:
-        off = np.conj(driven - weight @ driven) * (marked - weight @ marked)
-        yaw = float(np.angle(weight @ off))
-    begin = weight @ (marked - driven * np.exp(1j * yaw))
-
-    sd = np.array([m.sd_m for m in marks])
-    yaw_sd = np.array([marks[i].yaw_sd_rad for i in known])
-    for _ in range(BEGIN_STEPS if turns else 0):
-        turned = driven * np.exp(1j * yaw)
-        off = (marked - begin - turned) / sd
-        off_yaw = _wrapped(headings - course[known, 2] - yaw) / yaw_sd
-        one, none = 1.0 / sd, np.zeros(len(sd))
-        columns = np.block([
-            [one[:, None], none[:, None], (-turned.imag / sd)[:, None]],
-            [none[:, None], one[:, None], (turned.real / sd)[:, None]],
-            [np.zeros((len(known), 2)), (1.0 / yaw_sd)[:, None]],
-        ])  # fmt: skip
-        missed = np.concatenate([off.real, off.imag, off_yaw])
-        step = np.linalg.lstsq(columns, missed, rcond=1e-9)[0]
-        begin, yaw = begin + complex(step[0], step[1]), yaw + float(step[2])
-
-    off = marked - begin - driven * np.exp(1j * yaw)
-    off_yaw = dict(zip(known, _wrapped(headings - course[known, 2] - yaw), strict=True))
-    out: list[float] = []
-    for i, place in enumerate(off):
-        out += [place.real, place.imag]
-        out += [float(off_yaw[i])] if i in off_yaw else []
-    return out
-
-
-def _of_relation(mark: FloorMark, here: Array, there: Array) -> list[float]:
-    """Return by how much a course misses a mark that refers to another time."""
-    moved = complex(*(here[:2] - there[:2])) * np.exp(-1j * there[2])
-    if mark.forward_m is None:
-        out = [-moved.real, -moved.imag]
-    else:
-        out = [mark.forward_m - math.copysign(abs(moved), mark.forward_m or 1.0)]
-    if mark.yaw_rad is not None:
-        out.append(float(_wrapped(mark.yaw_rad - (here[2] - there[2]))))
-    return out
+def _complex(poses: Array) -> Array:
+    return np.asarray(poses[:, 0] + 1j * poses[:, 1])
 
 
 def _wrapped(angle: Array | float) -> Array:

@@ -1,7 +1,7 @@
 """Which causes marks show: a search on few numbers, whose independent units are whole runs.
 
 A cause is accepted if it lowers the squared misses by more than chance (F test) and the runs agree
-on it (t test of their scores), each at 1 % over the whole library. The first test trusts the
+on it (t test of their scores), each at 0.1 % over the whole library. The first test trusts the
 marks' standard deviations as far as the best fit of all causes allows, the second trusts nothing.
 """
 
@@ -16,6 +16,7 @@ from hilserver.arrays import Array, Indices, Mask
 from hilserver.diagnosis.catalogue.candidate import Candidate
 from hilserver.diagnosis.decide.trial import implausible, worth_a_name
 from hilserver.diagnosis.marks.runs import MarkedRuns, rows_of
+from hilserver.diagnosis.marks.slip import RandomSlip
 from hilserver.diagnosis.regression.intervals import limits
 from hilserver.diagnosis.regression.linear import (
     covariance,
@@ -25,13 +26,24 @@ from hilserver.diagnosis.regression.linear import (
 )
 from hilserver.diagnosis.replay.model import Fitted, Model
 
-BY_CHANCE: Final = 0.01
+BY_CHANCE: Final = 0.001
 FEWEST_MARKED_RUNS: Final = 6
 FEWEST_FREEDOM: Final = 4  # beyond the causes themselves
 MOST_CAUSES: Final = 4
 MOST_FIT_STEPS: Final = 12
 # a rival that fits worse by less than this, in variances, cannot be excluded: 1 % of a chi-square
 RIVAL: Final = 6.63
+SIZE: Final = "wheel_radius"
+LARGEST_SHOWN: Final = {
+    # a smaller robot makes everything smaller that its wheels have slipped
+    SIZE: 0.1,
+    "wheel_radius_difference": 0.3,
+    "rotation_gain": 0.3,
+    # [m], [rad]: what closes a square hides them
+    "icr_offset": 0.05,
+    "wheel_misalignment": 0.05,
+}
+"""A cause is not sought if it would have to be larger than this to be found."""
 SMALLEST_SHARE: Final = 1e-6  # of a cause's column that others leave; less is their sum
 
 
@@ -42,13 +54,17 @@ class MarksTrial:
     Attributes
     ----------
     missed : ndarray, shape (rows,)
+        Of unit variance and without correlation.
     effects : ndarray, shape (rows, candidates)
         Change of the misses per unit of each candidate, with the sign of an explanation.
+    slip_m : float
+        Variance of a wheel's distance per metre, see `RandomSlip`.
     """
 
     model: Model
     missed: Array
     effects: Array
+    slip_m: float
 
     @property
     def deviance(self) -> float:
@@ -61,6 +77,7 @@ class MarksSearch:
     """The search on some of the runs."""
 
     runs: MarkedRuns
+    slip: RandomSlip
     candidates: Sequence[Candidate]
     chosen: Indices  # the runs that take part
     report: Callable[[str, float], None] = field(default=lambda *_: None)
@@ -70,8 +87,8 @@ class MarksSearch:
         """Which rows take part."""
         return rows_of(self.runs, self.chosen)
 
-    def trial(self, model: Model) -> MarksTrial:
-        """Evaluate a model."""
+    def trial(self, model: Model, slip_m: float | None = None) -> MarksTrial:
+        """Evaluate a model; random slip is estimated if it is not given."""
         missed = self.runs.residual(model.terms)
         effects = []
         for number, candidate in enumerate(self.candidates):
@@ -83,16 +100,36 @@ class MarksSearch:
             moved = model.plus(candidate, (theta[0] + candidate.step[0],))
             change = missed - self.runs.residual(moved.terms)
             effects.append(change / candidate.step[0])
-        rows = self.rows
-        return MarksTrial(model, missed[rows], np.stack(effects, axis=1)[rows])
+        columns = np.stack(effects, axis=1)
+        if slip_m is None:
+            mine = self.rows
+            shown = self._explaining(missed * mine, columns * mine[:, None])
+            slip_m = self.slip.estimate(missed, shown, self.chosen)
+        missed, columns = (
+            self.slip.whitened(one, slip_m)[self.rows] for one in (missed, columns)
+        )
+        return MarksTrial(model, missed, columns, slip_m)
+
+    def _explaining(self, missed: Array, effects: Array) -> Array:
+        """Return an orthonormal basis of what causes may explain of the misses."""
+        labels = [c.cause for c in self.candidates]
+        if SIZE in labels:
+            # beside the others a size may move nothing but what the wheels have slipped
+            others = np.delete(effects, labels.index(SIZE), axis=1)
+            basis = _independent(scaled(others)[0])
+            moved, left = (
+                float(np.linalg.norm(orthogonal(one, basis)))
+                for one in (effects[:, labels.index(SIZE)], missed)
+            )
+            if others.shape[1] and moved * LARGEST_SHOWN[SIZE] < left:
+                return basis
+        return _independent(scaled(effects)[0])
 
     def level(self, trial: MarksTrial) -> tuple[float, int]:
         """Return the variance that no cause explains, at least 1, and its degrees of freedom."""
-        unit = scaled(trial.effects)[0]
-        size = np.linalg.svd(unit, compute_uv=False)
-        explaining = int((size > 1e-3).sum())
-        left = orthogonal(trial.missed, _independent(unit))
-        freedom = int(self.runs.freedom[self.chosen].sum()) - explaining
+        explaining = self._explaining(trial.missed, trial.effects)
+        left = orthogonal(trial.missed, explaining)
+        freedom = int(self.runs.freedom[self.chosen].sum()) - explaining.shape[1]
         return max(1.0, float(left @ left) / max(freedom, 1)), freedom
 
     def select(self) -> MarksTrial:
@@ -105,7 +142,7 @@ class MarksSearch:
                 break
             wider = self.fit(trial.model.plus(found, found.null))
             newest = wider.model.fitted[-1]
-            if worth_a_name(newest) and not implausible(newest):
+            if worth_a_name(newest) and not implausible(newest) and self.shown(wider):
                 trial = wider
             barred.add(found.cause)
         return trial
@@ -153,7 +190,13 @@ class MarksSearch:
 
     def runs_agree(self, trial: MarksTrial, candidate: Candidate) -> bool:
         """Return whether the runs, each by itself, ask for a cause with the same sign."""
-        scores = self._by_run(self.beside(trial, candidate) * trial.missed)
+        # what other causes may explain is no disagreement: of the misses, it counts what remains
+        column = self.beside(trial, candidate)
+        own = (
+            column * float(column @ trial.missed) / max(float(column @ column), 1e-300)
+        )
+        left = orthogonal(trial.missed, self._explaining(trial.missed, trial.effects))
+        scores = self._by_run(column * (own + left))
         scatter = float(scores.std(ddof=1)) / np.sqrt(len(scores))
         limit = stats.t.isf(0.5 * BY_CHANCE / len(self.candidates), len(scores) - 1)
         return bool(abs(float(scores.mean())) > limit * scatter)
@@ -165,9 +208,9 @@ class MarksSearch:
         np.add.at(sums, run, table)
         return sums if values.ndim > 1 else sums[:, 0]
 
-    def fit(self, model: Model) -> MarksTrial:
+    def fit(self, model: Model, slip_m: float | None = None) -> MarksTrial:
         """Return a model with the parameters that meet the marks best."""
-        trial = self.trial(model)
+        trial = self.trial(model, slip_m)
         for _ in range(MOST_FIT_STEPS):
             step = ridge(self._own(trial), trial.missed)
             low, high = model.borders()
@@ -175,16 +218,17 @@ class MarksSearch:
             for share in (1.0, 0.5, 0.2):
                 theta = np.clip(trial.model.theta() + share * step, low, high)
                 other = trial.model.with_theta(theta)
-                missed = self.runs.residual(other.terms)[self.rows]
+                missed = self.runs.residual(other.terms)
+                missed = self.slip.whitened(missed, trial.slip_m)[self.rows]
                 if float(missed @ missed) < trial.deviance:
                     better = other
                     break
             if better is None:
                 break
-            before, trial = trial.deviance, self.trial(better)
+            before, trial = trial.deviance, self.trial(better, trial.slip_m)
             if before - trial.deviance < 1e-6 * before:
                 break
-        return trial
+        return trial if slip_m is not None else self.trial(trial.model)
 
     def rivals(self, trial: MarksTrial, index: int) -> list[MarksTrial]:
         """Return models with another cause in one's place that the marks cannot exclude."""
@@ -194,10 +238,13 @@ class MarksSearch:
         for candidate in self.candidates:
             if candidate.cause in trial.model.causes or candidate is own.candidate:
                 continue
-            swapped = self.fit(others.plus(candidate, candidate.null))
+            swapped = self.fit(others.plus(candidate, candidate.null), trial.slip_m)
             newest = swapped.model.fitted[-1]
-            fits = swapped.deviance - trial.deviance < RIVAL * variance
-            if fits and not implausible(newest) and not _at_bound(newest):
+            shrunk = abs(_size(swapped.model) - _size(trial.model))
+            most = RIVAL * variance + 2.0 * shrunk * trial.deviance
+            fits = swapped.deviance - trial.deviance < most
+            possible = not implausible(newest) and not _at_bound(newest)
+            if fits and possible and self.shown(swapped):
                 found.append(swapped)
         return found
 
@@ -220,11 +267,24 @@ class MarksSearch:
         needed = np.sqrt(self.critical(max(freedom, 1))) + 1.0
         return max(float(needed * np.sqrt(variance)) / length, candidate.least)
 
+    def shows(self, trial: MarksTrial, candidate: Candidate) -> bool:
+        """Return whether the marks show a cause of a reasonable size beside those of a model."""
+        return self.smallest(trial, candidate) <= LARGEST_SHOWN[candidate.cause]
+
+    def shown(self, trial: MarksTrial) -> bool:
+        """Return whether the marks show every cause of a model beside all others."""
+        return all(self.shows(trial, f.candidate) for f in trial.model.fitted)
+
 
 def _independent(unit: Array) -> Array:
     """Return an orthonormal basis of what columns of unit length clearly span."""
     left, size, _ = np.linalg.svd(unit, full_matrices=False)
     return np.asarray(left[:, size > 1e-3])
+
+
+def _size(model: Model) -> float:
+    """Return the share by which a model makes the whole robot larger."""
+    return sum(f.theta[0] for f in model.fitted if f.candidate.cause == SIZE)
 
 
 def _at_bound(fitted: Fitted) -> bool:
