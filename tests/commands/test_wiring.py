@@ -1,8 +1,12 @@
 """Commissioning against the embedded controller in a process; what each mistake is called."""
 
+import asyncio
+import time
+from types import SimpleNamespace
+
 import pytest
 
-from hilserver.commands import main
+from hilserver.commands import main, wiring
 from hilserver.commands.demo import running_controller
 from hilserver.commands.wiring import WheelCheck, as_table, complaint
 from hilserver.config.root import Config
@@ -54,7 +58,7 @@ def test_the_right_wiring_passes(tmp_path, capsys):
     assert out.count("  ok\n") == 5
 
 
-async def test_swapped_wheels_a_wrong_sign_and_the_stale_time_are_seen():
+async def test_swapped_wheels_a_wrong_sign_and_the_stale_time_are_seen(monkeypatch):
     base = assemble_config(Config.model_validate({"image": {"name": "auto"}}))
     async with running_controller(base.robot, pattern="wheels") as endpoint:
         peer = demo_peer(endpoint)
@@ -73,8 +77,15 @@ async def test_swapped_wheels_a_wrong_sign_and_the_stale_time_are_seen():
             daemon.faults.inject(
                 {"fault": "scale", "signal": "wheel.rr.setpoint_rpm", "factor": -1}
             )
-            wiring = WheelCheck(daemon, peer.name, 20.0, 15.0, lambda _: None)
-            findings = await wiring.check()
+            check = WheelCheck(daemon, peer.name, 20.0, 15.0, lambda _: None)
+            inject, loop = daemon.faults.inject, asyncio.get_running_loop()
+
+            def inject_on_a_busy_computer(fault):
+                inject(fault)
+                loop.call_later(0.05, time.sleep, 0.6)
+
+            monkeypatch.setattr(daemon.faults, "inject", inject_on_a_busy_computer)
+            findings = await check.check()
     assert [f.complaint for f in findings] == [
         "order: rear left instead of front left",
         "order: front left instead of rear left",
@@ -82,6 +93,28 @@ async def test_swapped_wheels_a_wrong_sign_and_the_stale_time_are_seen():
         "sign: forward is positive on the left, negative on the right",
         "",
     ], as_table(findings)
+    assert "busy" in findings[-1].arrived
+
+
+async def test_a_wheel_counts_once_it_turns_steadily(monkeypatch):
+    """A controller with a ramp, and one whose command comes late and leaves a gap."""
+    ramp = [{}, *({"fl": rpm / 5} for rpm in range(1, 100))]
+    steady = [{"fl": 20.0}] * 10
+    moving = iter([*ramp, *steady, *[{}] * 10])
+    now_s = 0.0
+
+    async def sleep(delay_s):
+        nonlocal now_s
+        now_s += delay_s
+
+    monkeypatch.setattr(wiring, "asyncio", SimpleNamespace(sleep=sleep))
+    clock = SimpleNamespace(monotonic=lambda: now_s)
+    monkeypatch.setattr(wiring, "time", clock)
+    check = object.__new__(WheelCheck)
+    check._speed_rpm, check._timeout_s = 20.0, 15.0
+    monkeypatch.setattr(check, "_moving", lambda: next(moving, {"fl": 20.0}))
+    finding = await check._wheel("fl")
+    assert (finding.arrived, finding.complaint) == ("fl +20 rpm", "")
 
 
 def test_without_a_peer_it_says_what_to_do(tmp_path, capsys):

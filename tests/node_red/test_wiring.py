@@ -85,7 +85,10 @@ class Operator:
 
 
 async def wired(node_red, operator: Operator, source: Path) -> list:
-    instance = await node_red(with_commands(shipped_flow(), source)).start()
+    # A command that comes late is none, instead of the flow's own demonstration.
+    environment = {"IOTBOT_DEMO": "0"}
+    flow = with_commands(shipped_flow(), source)
+    instance = await node_red(flow, environment=environment).start()
     peer = demo_peer(instance.endpoint)
     config = Config.model_validate(
         {

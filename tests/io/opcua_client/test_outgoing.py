@@ -12,6 +12,7 @@ from asyncua.server import uaprocessor
 from asyncua.server.internal_session import InternalSession
 from asyncua.ua.ua_binary import struct_to_binary
 
+from hilserver.io.opcua_client import session
 from hilserver.io.opcua_client.outgoing import UnfitError, variant
 from tests.io.opcua_client.conftest import URI, make_harness, peer_config, wait_until
 
@@ -128,6 +129,12 @@ def tell_what_was_left_out(monkeypatch):
 
     monkeypatch.setattr(ua.DataValue, "__init__", init)
     monkeypatch.setattr(uaprocessor, "struct_from_binary", struct_from_binary)
+
+
+@pytest.fixture(autouse=True)
+def patience(monkeypatch):
+    """Let a peer whose answer a busy computer holds up keep its link: it lost none by a value."""
+    monkeypatch.setattr(session, "CONNECT_TIMEOUT_S", 60.0)
 
 
 @contextlib.asynccontextmanager
