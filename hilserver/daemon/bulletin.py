@@ -39,6 +39,12 @@ class Surroundings:
     def content(self) -> dict[str, Any]:
         """Return what the board shows to other processes, in types of JSON."""
         core, desk = self.core, self.desk
+        # The slices, and what the page draws of each
+        scheduler = self.core.scheduler
+        table = _table(figures.slice_table(scheduler))
+        for name, slice_ in slices_by_name(scheduler).items():
+            table[name]["margin_last_us"] = slice_.margin_last_ns * 1e-3
+            table[name]["latency_counts"] = slice_.latency_counts.tolist()
         return {
             "version": __version__,
             "monotonic_s": time.monotonic(),  # at which all this was so
@@ -53,7 +59,7 @@ class Surroundings:
             ),  # by a client that is still connected
             "realtime_factor": _number(core.scheduler.statistics.tick.real_time_factor),
             "bounds_us": (BOUNDS_NS / 1000).tolist(),
-            "slices": self._slices(),
+            "slices": table,
             "peers": _table(figures.peer_table(self.peers())),
             "audit": figures.audit_table(self.audit),
             "faults": [
@@ -73,14 +79,6 @@ class Surroundings:
             "recalibration": desk.recalibration.view(),
             "events": self._events(),
         }
-
-    def _slices(self) -> dict[str, dict[str, Any]]:
-        scheduler = self.core.scheduler
-        table = _table(figures.slice_table(scheduler))
-        for name, slice_ in slices_by_name(scheduler).items():
-            table[name]["margin_last_us"] = slice_.margin_last_ns * 1e-3
-            table[name]["latency_counts"] = slice_.latency_counts.tolist()
-        return table
 
     def _events(self) -> list[dict[str, Any]]:
         """Return the newest events, newest first; the overruns of a slice count as one."""

@@ -53,10 +53,7 @@ class Supervision:
         self._look_at_models()
         self._control.supervise()
         self._watch_first_ticks()
-        self._watch_command()
-
-    def _watch_command(self) -> None:
-        """Report, once each time it begins, that the robot drives other than commanded."""
+        # Once each time it begins: the robot drives other than commanded.
         for name, text in NOTICES.items():
             if not self._plant_state[name]:
                 self._noticed.discard(name)
