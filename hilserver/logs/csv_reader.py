@@ -159,23 +159,20 @@ def _read_strictly(
                 table.stamps, table.units = "texts", {**table.units, time: "ns"}
             return _parse(table, reader, rows, lines, time, drop_unended=ours)
         except UnicodeDecodeError as error:
-            raise _undecodable(path, error) from None
+            data, at = path.read_bytes(), error.start
+            try:
+                data.decode("utf-8")
+            except UnicodeDecodeError as whole:
+                # The place in the whole file: a reader in portions counts in its portion.
+                at = whole.start
+            line = data.count(b"\n", 0, at) + 1
+            raise LogError(
+                f"{path}: row {line}: byte {at} is not UTF-8; save the file as UTF-8"
+            ) from None
         except csv.Error as error:
             raise LogError(
                 f"{path}: not CSV: {error}; write UTF-8 text with commas"
             ) from None
-
-
-def _undecodable(path: Path, error: UnicodeDecodeError) -> LogError:
-    data = path.read_bytes()
-    try:
-        data.decode("utf-8")
-    except UnicodeDecodeError as again:
-        error = again
-    row = data.count(b"\n", 0, error.start) + 1
-    return LogError(
-        f"{path}: row {row}: byte {error.start} is not UTF-8; save the file as UTF-8"
-    )
 
 
 def _without(

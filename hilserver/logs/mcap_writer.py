@@ -172,26 +172,30 @@ class McapWriter:
             )
         if self._changed:
             changed, self._changed = self._changed, []
-            self._write_changes(changed)
-
-    def _write_changes(self, changed: list[tuple[int, Change]]) -> None:
-        if len(self._summary.channels) == 1:
-            schema = json.dumps(sparse.SCHEMA).encode()
-            own: tuple[rec.Schema, rec.Channel] = (
-                rec.Schema(
-                    data=schema, encoding="jsonschema", id=CHANGES, name=CHANGES_SCHEMA
-                ),
-                rec.Channel(CHANGES, sparse.TOPIC, "json", {}, CHANGES),
-            )
-            self._summary.schemas.append(own[0])
-            self._summary.channels.append(own[1])
-            for record in own:
-                self._append(record)
-        for stamp_ns, change in changed:
-            text = sparse.as_text(change).encode()
-            number = change.number & 0xFFFF_FFFF
-            message = _encode(rec.Message(CHANGES, stamp_ns, text, stamp_ns, number))
-            self._summary.add(self._file, CHANGES, [stamp_ns], message, len(message))
+            if len(self._summary.channels) == 1:
+                schema = json.dumps(sparse.SCHEMA).encode()
+                own: tuple[rec.Schema, rec.Channel] = (
+                    rec.Schema(
+                        data=schema,
+                        encoding="jsonschema",
+                        id=CHANGES,
+                        name=CHANGES_SCHEMA,
+                    ),
+                    rec.Channel(CHANGES, sparse.TOPIC, "json", {}, CHANGES),
+                )
+                self._summary.schemas.append(own[0])
+                self._summary.channels.append(own[1])
+                for record in own:
+                    self._append(record)
+            for stamp_ns, change in changed:
+                text = sparse.as_text(change).encode()
+                number = change.number & 0xFFFF_FFFF
+                message = _encode(
+                    rec.Message(CHANGES, stamp_ns, text, stamp_ns, number)
+                )
+                self._summary.add(
+                    self._file, CHANGES, [stamp_ns], message, len(message)
+                )
 
     def sync(self) -> None:
         """Hand everything to the disk."""
@@ -245,7 +249,14 @@ class _Summary:
         chunk = _encode(
             rec.Chunk("zstd", packed, end_ns, start_ns, zlib.crc32(data), len(data))
         )
-        index = _message_index(channel, times_ns, each)
+        entries = np.empty((len(times_ns), 2), dtype="<u8")
+        entries[:, 0] = times_ns
+        entries[:, 1] = np.arange(len(times_ns)) * each
+        places = entries.tobytes()
+        head = struct.pack(
+            "<BQHI", Opcode.MESSAGE_INDEX, 6 + len(places), channel, len(places)
+        )
+        index = head + places
         offset = file.size
         file.append(chunk + index)
         self.chunks.append(
@@ -320,12 +331,3 @@ def _encode(record: rec.McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())  # type: ignore[no-untyped-call]
-
-
-def _message_index(channel: int, times_ns: Sequence[int], each: int) -> bytes:
-    entries = np.empty((len(times_ns), 2), dtype="<u8")
-    entries[:, 0] = times_ns
-    entries[:, 1] = np.arange(len(times_ns)) * each
-    data = entries.tobytes()
-    head = struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + len(data), channel, len(data))
-    return head + data

@@ -55,7 +55,19 @@ def rewrite(log: Log, writer: LogWriter) -> None:
 
 
 def _batches(log: Log) -> Iterator[Segmented]:
-    values, status = _table(log)
+    columns = dict(log.columns)
+    if log.run is None:
+        own = {TIME: log.t_s} | (
+            {} if log.block is None else {BLOCK: log.block.astype(np.float64)}
+        )
+        columns = own | columns
+    values = (
+        np.stack(list(columns.values()), axis=1) if columns else np.zeros((len(log), 0))
+    )
+    status = np.where(np.isnan(values), BAD_NO_DATA, 0).astype(np.int64)
+    for place, name in enumerate(columns):
+        if name in log.status:
+            status[:, place] = log.status[name]
     period_ns = int((log.run or {}).get("base_period_ns", 1))
     ticks = np.rint(log.t_s * (NS_PER_S / period_ns)).astype(np.int64)
     words = np.concatenate(
@@ -70,23 +82,6 @@ def _batches(log: Log) -> Iterator[Segmented]:
     for first in range(0, len(ticks), ROWS_AT_ONCE):
         rows = slice(first, first + ROWS_AT_ONCE)
         yield Segmented(FrameBatch(first, words[rows], values[rows]), log.segment[rows])
-
-
-def _table(log: Log) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    columns = dict(log.columns)
-    if log.run is None:
-        own = {TIME: log.t_s} | (
-            {} if log.block is None else {BLOCK: log.block.astype(np.float64)}
-        )
-        columns = own | columns
-    values = (
-        np.stack(list(columns.values()), axis=1) if columns else np.zeros((len(log), 0))
-    )
-    status = np.where(np.isnan(values), BAD_NO_DATA, 0).astype(np.int64)
-    for place, name in enumerate(columns):
-        if name in log.status:
-            status[:, place] = log.status[name]
-    return values, status
 
 
 def stamps(log: Log) -> NDArray[np.int64]:
