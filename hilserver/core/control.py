@@ -85,7 +85,8 @@ class Control:
     def time_kept_by(self, keeper: Timekeeper) -> Iterator[None]:
         """Let `keeper` say when time passes; it stands between steps, so every state takes Step."""
         before = self._time, self._stands
-        self._time, self._stands = keeper, True
+        self._time = keeper
+        self._stands = True
         try:
             yield
         finally:
@@ -94,7 +95,8 @@ class Control:
     def _go(self, state: State, reason: str) -> None:
         if state is self.state and reason == self.reason:
             return
-        self.state, self.reason = state, reason
+        self.state = state
+        self.reason = reason
         self._image.control.state = state
         if state is State.SAFE:
             way_out = (
