@@ -73,7 +73,8 @@ class Pace:
     @classmethod
     def configured(cls, assembly: Assembly, *, paused: bool = False) -> Self:
         """Return the pace that the configuration asks for."""
-        config, scheduler = assembly.config, assembly.config.scheduler
+        config = assembly.config
+        scheduler = assembly.config.scheduler
         least = VIRTUAL_RING if scheduler.backend == "virtual" else 0
         timeout_ms = config.control.command_timeout_ms
         return cls(
@@ -168,7 +169,8 @@ def build(assembly: Assembly, pace: Pace | None = None) -> Core:
     assembly = with_models(assembly, plant, waits=pace.backend == "virtual")
     with ExitStack() as begun:
         begun.callback(end_models, assembly)
-        is_made_up, composition = pace.image == MADE_UP, assembly.composition
+        is_made_up = pace.image == MADE_UP
+        composition = assembly.composition
         held = leases.words_needed(OTHER_LEASES + len(assembly.config.drivers))
         statistics = words_needed(len(assembly.slices), LINEAR_BINS)
         image = ProcessImage(

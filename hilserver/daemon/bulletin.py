@@ -82,7 +82,8 @@ class Surroundings:
 
     def _events(self) -> list[dict[str, Any]]:
         """Return the newest events, newest first; the overruns of a slice count as one."""
-        now_ns, shown = time.monotonic_ns(), dict[Any, dict[str, Any]]()
+        now_ns = time.monotonic_ns()
+        shown = dict[Any, dict[str, Any]]()
         for event in reversed(self.core.events.recent):
             is_overrun = event.kind == EventKind.OVERRUN
             key = event.source if is_overrun else id(event)
@@ -106,7 +107,8 @@ class Notice:
     """Writes on the board of the image, no more often than it is read."""
 
     def __init__(self, of: Surroundings) -> None:
-        self._board, self._of = Board(of.core.image), of
+        self._board = Board(of.core.image)
+        self._of = of
         self._due_s = 0.0
 
     def show(self) -> None:

@@ -81,7 +81,8 @@ class Daemon:
         paused: bool = False,
         links: Sequence[Callable[[World], Iterable[Part]]] = LINKS,
     ) -> None:
-        self.assembly, self.config = assembly, assembly.config
+        self.assembly = assembly
+        self.config = assembly.config
         self.limiter = limiter
         self.audit: list[AuditFinding] = []
         self._play = play
@@ -100,8 +101,12 @@ class Daemon:
         self, core: Core, links: Sequence[Callable[[World], Iterable[Part]]]
     ) -> None:
         config = self.config
-        self.table, self.image, self.events = core.table, core.image, core.events
-        self.gate, self.scheduler, self.faults = core.gate, core.scheduler, core.faults
+        self.table = core.table
+        self.image = core.image
+        self.events = core.events
+        self.gate = core.gate
+        self.scheduler = core.scheduler
+        self.faults = core.faults
         self.clock = UtcClock(simulated=config.scheduler.backend == "virtual")
         self.outputs = PublishedOutputs(core)
         self.control = Control(

@@ -30,12 +30,10 @@ class GapWatch:
         *,
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        self._config, self._table, self._gaps, self._events = (
-            config,
-            table,
-            gaps,
-            events,
-        )
+        self._config = config
+        self._table = table
+        self._gaps = gaps
+        self._events = events
         self._now_ns = monotonic_ns
         self._since_ns: dict[str, int] = {}
         self._alarms: set[str] = set()
@@ -49,7 +47,8 @@ class GapWatch:
         """Check the gaps; called by the supervise slice."""
         if not self._config.limits:
             return
-        gaps, now_ns = self._gaps(), self._now_ns()
+        gaps = self._gaps()
+        now_ns = self._now_ns()
         for channel, limit in self._config.limits.items():
             gap = gaps.get(channel)
             if gap is None or abs(gap) <= limit:

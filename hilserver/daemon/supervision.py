@@ -34,7 +34,8 @@ class Supervision:
         self._plant_state = State.of(core.image.region("x")[0])
         self._noticed: set[str] = set()
         self._plant_slice = config.plant.slice
-        self._gate, self._events = core.gate, core.events
+        self._gate = core.gate
+        self._events = core.events
         self._scheduler = core.scheduler
         self._control = control
         control.before_reset.append(self._take_lapses)
