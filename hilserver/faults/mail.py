@@ -61,7 +61,8 @@ class Mailbox:
             mail = Mail.of(self._mail, place)
             if command.entry is not None:
                 mail.entry = command.entry
-            mail.operation, mail.entry.number = command.operation, command.number
+            mail.operation = command.operation
+            mail.entry.number = command.number
         show_mail(head + len(commands), self._image.words)
 
     def acting(self) -> list[ModifierEntry]:

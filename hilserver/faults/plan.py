@@ -145,7 +145,8 @@ class Planner:
         return [self._scaled("twist.angular_rad_s", 1.0 / RPM_PER_RAD_S)]
 
     def _last_wheel(self, fault: Fault) -> list[ModifierEntry]:
-        slot, limit = self._table.slot, fault.value
+        slot = self._table.slot
+        limit = fault.value
         if limit is not None and limit <= 0:
             raise ValueError(f"value is a speed above 0 rpm, not {limit:g}")
         return [

@@ -93,7 +93,8 @@ def _files(path: Path) -> Sequence[Path]:
 
 
 def _read_file(path: Path, wanted: set[str], most: int | None) -> Bag:
-    budget, bag = Budget(path), Bag(path, most=most)
+    budget = Budget(path)
+    bag = Bag(path, most=most)
     if not path.name.endswith(PACKED):
         return _read_plain(bag, path, wanted, budget)
     with tempfile.TemporaryDirectory(prefix="hilserver-") as folder:

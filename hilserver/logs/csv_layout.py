@@ -131,8 +131,10 @@ def layout_of(path: Path, lines: Sequence[str]) -> CsvLayout:
                     " 1; export it with one time column for all channels"
                 )
             names[place] = units[place] = ""
-        names[0], units[0] = "time", "ms"
-        header_row, first = at[_SCOPE_NAME] + 1, tuple(rows[begin])
+        names[0] = "time"
+        units[0] = "ms"
+        header_row = at[_SCOPE_NAME] + 1
+        first = tuple(rows[begin])
         return CsvLayout(separator, names, header_row, begin + 1, tuple(units), first)
     return _above(lines, rows, shapes, begin, separator) or plain
 

@@ -64,7 +64,8 @@ class _Names:
         self, known: Container[str] | None, run: Mapping[str, Any] | None
     ) -> None:
         own = [] if run is None else [s["name"] for s in run["signals"]]
-        self._known, self._own = known, own
+        self._known = known
+        self._own = own
         iterable = known if isinstance(known, Sequence | set | frozenset | dict) else ()
         self._all = [*own, *iterable, TIME, SEGMENT, BLOCK]
 
@@ -201,7 +202,8 @@ def _parse(
     *,
     drop_unended: bool,
 ) -> Table:
-    width, at = len(table.header), -1 if time is None else table.names.index(time)
+    width = len(table.header)
+    at = -1 if time is None else table.names.index(time)
     held: tuple[int, list[str]] | None = None
     for row in rows:
         if held is not None:
@@ -223,7 +225,8 @@ class _Lines:
     """Lines of a file, empty outside its table; remembers whether the last one was terminated."""
 
     def __init__(self, file: TextIO, layout: CsvLayout) -> None:
-        self._file, self._layout = file, layout
+        self._file = file
+        self._layout = layout
         self.ended = True
 
     def __iter__(self) -> Iterator[str]:
@@ -278,7 +281,8 @@ def _begin(
             where = place_of(path, layout.header_row, header, name)
             raise LogError(f"{where}: there is no such signal; {names.hint(name)}")
     table = Table(path, header, read=read, notices=layout.notices(path))
-    table.header_row, table.separator = layout.header_row, layout.separator
+    table.header_row = layout.header_row
+    table.separator = layout.separator
     table.units = {name: unit for name in header if (unit := layout.unit(name))}
     return table
 

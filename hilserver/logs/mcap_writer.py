@@ -115,7 +115,8 @@ class McapWriter:
         table["log_time"] = table["publish_time"] = frames.planned_ns + self._utc_ns
         payload = table["payload"]
         payload["cdr"] = CDR_LITTLE_ENDIAN
-        payload["number"], payload["segment"] = frames.numbers, batch.segments
+        payload["number"] = frames.numbers
+        payload["segment"] = batch.segments
         payload["tick"] = frames.ticks
         payload["planned_ns"] = frames.planned_ns
         payload["values"] = frames.values[:, self._slots]
@@ -148,7 +149,8 @@ class McapWriter:
         self._summary.metadata.append(index)
 
     def _attach(self, name: str, media_type: str, data: bytes) -> None:
-        offset, now_ns = self._file.size, time.time_ns()
+        offset = self._file.size
+        now_ns = time.time_ns()
         length = self._append(rec.Attachment(now_ns, now_ns, name, media_type, data))
         self._summary.attachments.append(
             rec.AttachmentIndex(
@@ -165,13 +167,15 @@ class McapWriter:
         """Write what is pending, frames and changes in a chunk each."""
         if self._pending:
             table = np.concatenate(self._pending)
-            self._pending, self._pending_bytes = [], 0
+            self._pending = []
+            self._pending_bytes = 0
             times = table["log_time"].tolist()
             self._summary.add(
                 self._file, CHANNEL, times, table.tobytes(), table.dtype.itemsize
             )
         if self._changed:
-            changed, self._changed = self._changed, []
+            changed = self._changed
+            self._changed = []
             if len(self._summary.channels) == 1:
                 schema = json.dumps(sparse.SCHEMA).encode()
                 own: tuple[rec.Schema, rec.Channel] = (
@@ -228,7 +232,8 @@ class _Summary:
     """The index at the end of the file, collected chunk by chunk."""
 
     def __init__(self, schemas: list[rec.Schema], channels: list[rec.Channel]) -> None:
-        self.schemas, self.channels = schemas, channels
+        self.schemas = schemas
+        self.channels = channels
         self.chunks: list[rec.ChunkIndex] = []
         self.metadata: list[rec.MetadataIndex] = []
         self.attachments: list[rec.AttachmentIndex] = []
@@ -244,7 +249,8 @@ class _Summary:
         each: int,
     ) -> None:
         """Write messages of `each` bytes as a chunk with its index, and remember its position."""
-        start_ns, end_ns = min(times_ns), max(times_ns)
+        start_ns = min(times_ns)
+        end_ns = max(times_ns)
         packed = self._compressor.compress(data)
         chunk = _encode(
             rec.Chunk("zstd", packed, end_ns, start_ns, zlib.crc32(data), len(data))

@@ -112,7 +112,9 @@ def _as_log(
     run: dict[str, Any] | None,
     states: list[RecordedState],
 ) -> Log:
-    t_s, segment, block = table.pop(TIME), table.pop(SEGMENT), table.pop(BLOCK, None)
+    t_s = table.pop(TIME)
+    segment = table.pop(SEGMENT)
+    block = table.pop(BLOCK, None)
     names = [
         name for name in table if name.removesuffix(STATUS) not in table.keys() - {name}
     ]

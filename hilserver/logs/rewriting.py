@@ -89,7 +89,8 @@ def stamps(log: Log) -> NDArray[np.int64]:
     own = np.rint(log.t_s * NS_PER_S).astype(np.int64)
     begins = np.flatnonzero(np.diff(log.segment, prepend=log.segment[:1] - 1))
     ends = np.append(begins[1:], len(own))
-    offset, result = 0, own.copy()
+    offset = 0
+    result = own.copy()
     for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
         if begin:
             offset = max(int(result[begin - 1]) + GAP_NS - int(own[begin]), offset)
