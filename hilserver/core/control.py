@@ -85,7 +85,8 @@ class Control:
     def time_kept_by(self, keeper: Timekeeper) -> Iterator[None]:
         """Let `keeper` say when time passes; it stands between steps, so every state takes Step."""
         before = self._time, self._stands
-        self._time, self._stands = keeper, True
+        self._time = keeper
+        self._stands = True
         try:
             yield
         finally:
@@ -94,7 +95,8 @@ class Control:
     def _go(self, state: State, reason: str) -> None:
         if state is self.state and reason == self.reason:
             return
-        self.state, self.reason = state, reason
+        self.state = state
+        self.reason = reason
         self._image.control.state = state
         if state is State.SAFE:
             way_out = (
@@ -186,7 +188,18 @@ class Control:
             callback()
         state = self._next(Command.RESET)
         if self.state is State.SAFE:
-            self._acknowledge()
+            if self._causes:
+                raise ControlRefused(
+                    f"Reset is not possible yet: {'; '.join(self._causes.values())}"
+                )
+            self.on_acknowledge()
+            self._gate.end()
+            self._gate.interlock.engage()
+            self._image.control.first_fault = 0
+            self._image.control.stop_acknowledged = self._stop_taken
+            # Only what a silence has disabled: a host may have disabled the drive itself.
+            if not self._gate.is_disabled_by_host:
+                self._image.push([Row(self._table.slot("drive.enable"), 1.0)])
             self._go(state, WAITING if self._gate.interlock.waits else state.word)
             if not self._gate.interlock.must_wait:
                 self._events.publish(Event(EventKind.STATE, 200, "daemon", DRIVING_ON))
@@ -196,20 +209,6 @@ class Control:
         for callback in self.on_reset:
             callback()
         self._events.publish(Event(EventKind.STATE, 200, "daemon", "simulation reset"))
-
-    def _acknowledge(self) -> None:
-        if self._causes:
-            raise ControlRefused(
-                f"Reset is not possible yet: {'; '.join(self._causes.values())}"
-            )
-        self.on_acknowledge()
-        self._gate.end()
-        self._gate.interlock.engage()
-        self._image.control.first_fault = 0
-        self._image.control.stop_acknowledged = self._stop_taken
-        # Only what a silence has disabled: a host may have disabled the drive itself.
-        if not self._gate.is_disabled_by_host:
-            self._image.push([Row(self._table.slot("drive.enable"), 1.0)])
 
     def _adopt_interlock(self) -> None:
         """Let automatic sources wait if they did so in the state that was restored."""

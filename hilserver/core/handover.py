@@ -113,8 +113,11 @@ class HandOver:
         # set-points of clients that have left, not yet zero
         self._left: set[int] = set()
         leases.begin(owner)
-        self._image, self._events = image, events
-        self._fallback, self._before, self._speaker = fallback, NOBODY, ""
+        self._image = image
+        self._events = events
+        self._fallback = fallback
+        self._before = NOBODY
+        self._speaker = ""
         self._holder: object = None
 
     @property
@@ -139,11 +142,15 @@ class HandOver:
         if (kind, holder) == (self.owner, self._holder):
             return
         self._image.push([self.leases.hand_over(kind)])
-        before, self.owner, self._holder, self._speaker = self.owner, kind, holder, ""
+        before = self.owner
+        self.owner = kind
+        self._holder = holder
+        self._speaker = ""
         self._writers.clear()
         self._left.clear()
         if kind != before:
-            self._before, self.may_fall_back = before, True
+            self._before = before
+            self.may_fall_back = True
             text = f"control passes from '{before}' to '{kind}'"
             self._events.publish(Event(EventKind.STATE, 300, kind, text))
 
@@ -247,5 +254,6 @@ class HandOver:
         is_driving = kind == self.owner and any(row.slot < N_SETPOINTS for row in rows)
         if kind in OFFERING or not is_driving:
             return []
-        before, self._speaker = self._speaker, source
+        before = self._speaker
+        self._speaker = source
         return [] if before in ("", source) else [self.leases.hand_over(kind)]

@@ -86,7 +86,8 @@ class InputGate(HandOver):
             is_door = source in {self.label(door) for door in self._doors}
             reasons = reasons_of(source, is_door=is_door)
             self.rejected.update({(source, reason.value): 0 for reason in reasons})
-        self._table, self._now_ns = table, monotonic_ns
+        self._table = table
+        self._now_ns = monotonic_ns
         self._ended_ns, self._rest = 0, Rest()
         self.interlock = Interlock(table, image, must_wait=waits_for_start)
         self._last_ns: dict[str, int] = {}
@@ -185,7 +186,8 @@ class InputGate(HandOver):
             rows = {name: rows[name] for name in rows if name not in held}
             group = [row for found in rows.values() for row in found]
 
-        speaker, placed = self._speaker, self._passed_on(source, group)
+        speaker = self._speaker
+        placed = self._passed_on(source, group)
         is_renewed = renews and not is_waiting and not lost
         placed += self._placed(source, group, came_ns if is_renewed else None)
         placed += self._sampled(
@@ -193,7 +195,8 @@ class InputGate(HandOver):
         )
         if placed and not self._image.push(placed):
             refused |= dict.fromkeys(rows, Refusal.QUEUE_FULL)
-            rows, self._speaker = {}, speaker
+            rows = {}
+            self._speaker = speaker
 
         if rows:
             self._remember(source, rows.values(), now_ns)
@@ -302,7 +305,8 @@ class InputGate(HandOver):
         self, source: str, rows: list[Row], came_ns: int | None = None
     ) -> list[Row]:
         """Return rows for the place of the source's kind; commands renew its lease at `came_ns`."""
-        kind, place = kind_of(source), self.leases.place
+        kind = kind_of(source)
+        place = self.leases.place
         placed = [row._replace(slot=place(kind, row.slot)) for row in rows]
         is_command = any(not self._table.by_slot(row.slot).is_measured for row in rows)
         if is_command and came_ns is not None:
@@ -489,5 +493,6 @@ class InputGate(HandOver):
         """Return when the oldest unpublished change came in [ns], once a frame contains it."""
         if self._change is None or latched_rows < self._change[1]:
             return None
-        received_ns, self._change = self._change[0], None
+        received_ns = self._change[0]
+        self._change = None
         return received_ns

@@ -49,7 +49,8 @@ class Leases:
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self.now_ns = monotonic_ns
-        self._image, base = image, image.layout.regions[leases.REGION].base
+        self._image = image
+        base = image.layout.regions[leases.REGION].base
         self._words = image.words[base:]
         self._driving = Driving.of(self._words)
         self._places: dict[str, int] = {}
@@ -114,10 +115,12 @@ class Leases:
         """Yield the lapses that changed what is driven, each once."""
         for source in self._places:
             lease = self._lease(source)
-            before, self._known[source] = self._known.get(source, 0), int(lease.lapses)
+            before = self._known.get(source, 0)
+            self._known[source] = int(lease.lapses)
             if lease.lapses != before:
                 limit_ms = self.limit_ms(source) or 0.0
-                action, waited_ms = _ACTIONS[int(lease.policy)], lease.waited / 1e6
+                action = _ACTIONS[int(lease.policy)]
+                waited_ms = lease.waited / 1e6
                 yield Lapse(source, action, limit_ms, int(lease.stalled), waited_ms)
 
     def has_lapsed(self, source: str) -> bool:

@@ -103,12 +103,17 @@ class LiveParameters:
         events: EventBus,
         ahead_ticks: int,
     ) -> None:
-        self.table, self.configured = start.table, start.values
+        self.table = start.table
+        self.configured = start.values
         self.values: Mapping[str, float] = dict(start.composition.settings)
-        self._robot, self._composition = start.robot, start.composition
+        self._robot = start.robot
+        self._composition = start.composition
         self._geometric = geometric_gain(start.configured)
-        self._image, self._snapshots, self._events = image, snapshots, events
-        self._changes, self._number = Changes(image), 0
+        self._image = image
+        self._snapshots = snapshots
+        self._events = events
+        self._changes = Changes(image)
+        self._number = 0
         self._timed: deque[tuple[int, Mapping[str, float]]] = deque()
         self._ahead = ahead_ticks
         snapshots.restored.append(self.follow)
@@ -197,7 +202,9 @@ class LiveParameters:
         packed = composition.packed(number)
         if not self._changes.post(number, packed, due):
             raise ControlRefused(_FULL)
-        self._robot, self._composition, self._number = robot, composition, number
+        self._robot = robot
+        self._composition = composition
+        self._number = number
         self.values = composition.settings
         self._keep_for_reset(packed)
         return number
@@ -281,7 +288,9 @@ class LiveParameters:
             text = f"the parameters of the loaded state are not valid: {error}"
             self._events.publish(Event(EventKind.STATE, 500, "parameters", text))
             return
-        self._robot, self._composition, self.values = robot, composition, held
+        self._robot = robot
+        self._composition = composition
+        self.values = held
         self._keep_for_reset(composition.packed(self._edition))
 
     def _keep_for_reset(self, packed: NDArray[np.float64]) -> None:
@@ -291,7 +300,8 @@ class LiveParameters:
         initial = self._snapshots.initial
         initial[first : first + packed.size] = packed.view(np.int64)
         region = self._image.layout.regions["x"]
-        first, state = region.base - live, initial_state(self._robot)
+        first = region.base - live
+        state = initial_state(self._robot)
         initial[first : first + region.length] = state.numbers.view(np.int64)
 
 

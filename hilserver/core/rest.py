@@ -72,7 +72,8 @@ class Interlock:
     def __init__(
         self, table: SignalTable, image: ProcessImage, *, must_wait: bool
     ) -> None:
-        self.must_wait, self.waits = must_wait, False
+        self.must_wait = must_wait
+        self.waits = False
         self._image, self._slot = image, table.slot(WAITS)
 
     def holds(self, kind: str) -> bool:

@@ -76,14 +76,16 @@ class Staleness:
         self._checked_ns = now_ns
         if reason and not self.stale and since_ns > self.limit_ns:
             reason = f"the daemon's event loop was blocked for {since_ns / 1e6:.0f} ms"
-        was_stale, self.stale = self.stale, bool(reason)
+        was_stale = self.stale
+        self.stale = bool(reason)
         if reason:
             self.reason = reason
         if self.stale == was_stale:
             return None
         if self.stale:
             return Transition.LOST
-        first, self._known = not self._known, True
+        first = not self._known
+        self._known = True
         return Transition.FIRST if first else Transition.RESTORED
 
     def _why_stale(self, now_ns: int) -> str:

@@ -174,6 +174,7 @@ def _started(
     if block.model is None:
         return block
     period_s = assembly.composition.periods_s[block.slice]
-    base_period_s, priority = assembly.base_period_ns * 1e-9, max(plant.priority - 1, 0)
+    base_period_s = assembly.base_period_ns * 1e-9
+    priority = max(plant.priority - 1, 0)
     setting = Setting(period_s, base_period_s, waits, priority, plant.cpu)
     return replace(block, foreign=block.model.start(block.name, setting))

@@ -134,7 +134,8 @@ class _AssemblyBuilder:
         )
 
     def _check_owner(self) -> None:
-        config, first = self._config, self._config.first_source
+        config = self._config
+        first = self._config.first_source
         if first not in config.control.priority:
             raise self._fail(("control",), f"source '{first}' is not in priority")
         if first not in config.sources:
@@ -233,7 +234,8 @@ class _AssemblyBuilder:
     def _observer(
         self, robot: RobotParameters, p: Parameters, slices: Sequence[Slice]
     ) -> ObserverUse | None:
-        section, sensors = self._config.observer, self._config.sensors
+        section = self._config.observer
+        sensors = self._config.sensors
         if not section.enabled:
             return None
         try:

@@ -73,7 +73,8 @@ class Pace:
     @classmethod
     def configured(cls, assembly: Assembly, *, paused: bool = False) -> Self:
         """Return the pace that the configuration asks for."""
-        config, scheduler = assembly.config, assembly.config.scheduler
+        config = assembly.config
+        scheduler = assembly.config.scheduler
         least = VIRTUAL_RING if scheduler.backend == "virtual" else 0
         timeout_ms = config.control.command_timeout_ms
         return cls(
@@ -168,28 +169,31 @@ def build(assembly: Assembly, pace: Pace | None = None) -> Core:
     assembly = with_models(assembly, plant, waits=pace.backend == "virtual")
     with ExitStack() as begun:
         begun.callback(end_models, assembly)
-        image = _image(assembly, pace)
+        is_made_up = pace.image == MADE_UP
+        composition = assembly.composition
+        held = leases.words_needed(OTHER_LEASES + len(assembly.config.drivers))
+        statistics = words_needed(len(assembly.slices), LINEAR_BINS)
+        image = ProcessImage(
+            f"{MADE_UP}-{os.getpid()}-{time.monotonic_ns()}"
+            if is_made_up
+            else pace.image,
+            assembly.table,
+            live=composition.live_regions,
+            fixed=composition.fixed_regions
+            | {
+                "statistics": statistics,
+                board.REGION: board.WORDS,
+                leases.REGION: held,
+            },
+            base_period_ns=assembly.base_period_ns,
+            ring_length=pace.ring_frames,
+            queue_rows=pace.queue_rows,
+            run=assembly.provenance,
+        )
         begun.callback(image.close)
         core = _core(assembly, pace, image)
         begun.pop_all()
     return core
-
-
-def _image(assembly: Assembly, pace: Pace) -> ProcessImage:
-    is_made_up, composition = pace.image == MADE_UP, assembly.composition
-    held = leases.words_needed(OTHER_LEASES + len(assembly.config.drivers))
-    statistics = words_needed(len(assembly.slices), LINEAR_BINS)
-    return ProcessImage(
-        f"{MADE_UP}-{os.getpid()}-{time.monotonic_ns()}" if is_made_up else pace.image,
-        assembly.table,
-        live=composition.live_regions,
-        fixed=composition.fixed_regions
-        | {"statistics": statistics, board.REGION: board.WORDS, leases.REGION: held},
-        base_period_ns=assembly.base_period_ns,
-        ring_length=pace.ring_frames,
-        queue_rows=pace.queue_rows,
-        run=assembly.provenance,
-    )
 
 
 def _core(assembly: Assembly, pace: Pace, image: ProcessImage) -> Core:

@@ -39,6 +39,12 @@ class Surroundings:
     def content(self) -> dict[str, Any]:
         """Return what the board shows to other processes, in types of JSON."""
         core, desk = self.core, self.desk
+        # The slices, and what the page draws of each
+        scheduler = self.core.scheduler
+        table = _table(figures.slice_table(scheduler))
+        for name, slice_ in slices_by_name(scheduler).items():
+            table[name]["margin_last_us"] = slice_.margin_last_ns * 1e-3
+            table[name]["latency_counts"] = slice_.latency_counts.tolist()
         return {
             "version": __version__,
             "monotonic_s": time.monotonic(),  # at which all this was so
@@ -53,7 +59,7 @@ class Surroundings:
             ),  # by a client that is still connected
             "realtime_factor": _number(core.scheduler.statistics.tick.real_time_factor),
             "bounds_us": (BOUNDS_NS / 1000).tolist(),
-            "slices": self._slices(),
+            "slices": table,
             "peers": _table(figures.peer_table(self.peers())),
             "audit": figures.audit_table(self.audit),
             "faults": [
@@ -74,17 +80,10 @@ class Surroundings:
             "events": self._events(),
         }
 
-    def _slices(self) -> dict[str, dict[str, Any]]:
-        scheduler = self.core.scheduler
-        table = _table(figures.slice_table(scheduler))
-        for name, slice_ in slices_by_name(scheduler).items():
-            table[name]["margin_last_us"] = slice_.margin_last_ns * 1e-3
-            table[name]["latency_counts"] = slice_.latency_counts.tolist()
-        return table
-
     def _events(self) -> list[dict[str, Any]]:
         """Return the newest events, newest first; the overruns of a slice count as one."""
-        now_ns, shown = time.monotonic_ns(), dict[Any, dict[str, Any]]()
+        now_ns = time.monotonic_ns()
+        shown = dict[Any, dict[str, Any]]()
         for event in reversed(self.core.events.recent):
             is_overrun = event.kind == EventKind.OVERRUN
             key = event.source if is_overrun else id(event)
@@ -108,7 +107,8 @@ class Notice:
     """Writes on the board of the image, no more often than it is read."""
 
     def __init__(self, of: Surroundings) -> None:
-        self._board, self._of = Board(of.core.image), of
+        self._board = Board(of.core.image)
+        self._of = of
         self._due_s = 0.0
 
     def show(self) -> None:

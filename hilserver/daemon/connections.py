@@ -87,7 +87,8 @@ def make_world(of: Surroundings) -> World:
 
 def make_desk(core: Core, stage: ScenarioPlayer) -> Desk:
     """Return what starts scenarios, recordings and patches by name."""
-    assembly, config = core.assembly, core.assembly.config
+    assembly = core.assembly
+    config = core.assembly.config
     folders = config.folders
     return Desk(
         Scenarios(assembly.folder / folders.scenarios, stage, core),
@@ -108,7 +109,9 @@ def make_metrics(
     links: Sequence[Part],
 ) -> Metrics:
     """Return the metrics; `config` is called each time, as a reload changes it."""
-    core, outputs, scheduler = of.core, of.outputs, of.core.scheduler
+    core = of.core
+    outputs = of.outputs
+    scheduler = of.core.scheduler
     return Metrics(
         MetricSource(
             scheduler_metrics.METRICS, lambda: scheduler_metrics.pace(scheduler)

@@ -81,7 +81,8 @@ class Daemon:
         paused: bool = False,
         links: Sequence[Callable[[World], Iterable[Part]]] = LINKS,
     ) -> None:
-        self.assembly, self.config = assembly, assembly.config
+        self.assembly = assembly
+        self.config = assembly.config
         self.limiter = limiter
         self.audit: list[AuditFinding] = []
         self._play = play
@@ -100,8 +101,12 @@ class Daemon:
         self, core: Core, links: Sequence[Callable[[World], Iterable[Part]]]
     ) -> None:
         config = self.config
-        self.table, self.image, self.events = core.table, core.image, core.events
-        self.gate, self.scheduler, self.faults = core.gate, core.scheduler, core.faults
+        self.table = core.table
+        self.image = core.image
+        self.events = core.events
+        self.gate = core.gate
+        self.scheduler = core.scheduler
+        self.faults = core.faults
         self.clock = UtcClock(simulated=config.scheduler.backend == "virtual")
         self.outputs = PublishedOutputs(core)
         self.control = Control(
@@ -159,7 +164,36 @@ class Daemon:
 
     async def __aenter__(self) -> Self:
         try:
-            await self._start()
+            # What was started ends in reverse order, the plant first.
+            ending = self._resources
+            self.core.tasks.tell = self._on_task_end
+            # whatever a part has left behind
+            ending.push_async_callback(self.core.tasks.end)
+            ending.callback(self.events.subscribe(log_event))
+            ending.callback(self.events.subscribe(self._on_event))
+            for why in self.assembly.not_replayable:
+                _log.warning("recordings of this run are not replayable", reason=why)
+            for remark in self.assembly.remarks + doors_lost(self.config):
+                _log.warning(remark)
+            await self._start_recorder()
+            ending.push_async_callback(self.desk.recordings.close)
+            ending.push_async_callback(stop_all, self._begun, self.core.tasks)
+            ending.push_async_callback(self.scheduler.stop)
+            await self._start_parts(early=True)
+            self.scheduler.on_slice("publish", self._publish)
+            self.scheduler.on_slice("supervise", self._supervise)
+            self.scheduler.on_overrun(self.supervision.on_overrun)
+            self.scheduler.after_batch.append(self._show_halt)
+            if self._play is not None:
+                self.stage.play(self._play.scenario)
+            give_back_code()
+            await self.scheduler.start()
+            self._take_audit()
+            await self._start_parts(early=False)
+            timeout_s = self.config.scheduler.communication_timeout_ms * 1e-3
+            period_s = min(IDLE_PERIOD_S, timeout_s / 4 or IDLE_PERIOD_S)
+            ending.callback(self.core.tasks.every("idle", period_s, self._idle).cancel)
+            self.control.started()
         except BaseException:
             await self._resources.aclose()
             raise
@@ -168,38 +202,6 @@ class Daemon:
     async def __aexit__(self, *_: object) -> None:
         self.control.stopping("stopping")
         await self._resources.aclose()
-
-    async def _start(self) -> None:
-        """Start everything in order; what was started ends in reverse order, the plant first."""
-        ending = self._resources
-        self.core.tasks.tell = self._on_task_end
-        # whatever a part has left behind
-        ending.push_async_callback(self.core.tasks.end)
-        ending.callback(self.events.subscribe(log_event))
-        ending.callback(self.events.subscribe(self._on_event))
-        for why in self.assembly.not_replayable:
-            _log.warning("recordings of this run are not replayable", reason=why)
-        for remark in self.assembly.remarks + doors_lost(self.config):
-            _log.warning(remark)
-        await self._start_recorder()
-        ending.push_async_callback(self.desk.recordings.close)
-        ending.push_async_callback(stop_all, self._begun, self.core.tasks)
-        ending.push_async_callback(self.scheduler.stop)
-        await self._start_parts(early=True)
-        self.scheduler.on_slice("publish", self._publish)
-        self.scheduler.on_slice("supervise", self._supervise)
-        self.scheduler.on_overrun(self.supervision.on_overrun)
-        self.scheduler.after_batch.append(self._show_halt)
-        if self._play is not None:
-            self.stage.play(self._play.scenario)
-        give_back_code()
-        await self.scheduler.start()
-        self._take_audit()
-        await self._start_parts(early=False)
-        timeout_s = self.config.scheduler.communication_timeout_ms * 1e-3
-        period_s = min(IDLE_PERIOD_S, timeout_s / 4 or IDLE_PERIOD_S)
-        ending.callback(self.core.tasks.every("idle", period_s, self._idle).cancel)
-        self.control.started()
 
     async def _start_parts(self, *, early: bool) -> None:
         for part in self.parts:

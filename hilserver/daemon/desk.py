@@ -43,7 +43,9 @@ class Scenarios:
     """Plays scenarios of one folder, from the present tick on."""
 
     def __init__(self, folder: Path, stage: ScenarioPlayer, core: Core) -> None:
-        self._folder, self._stage, self._core = folder, stage, core
+        self._folder = folder
+        self._stage = stage
+        self._core = core
         self._period_s = core.assembly.base_period_ns * 1e-9
         self._playing: _Playing | None = None
 
@@ -58,7 +60,8 @@ class Scenarios:
         scenario = await asyncio.to_thread(load_scenario, path, LIVE_BYTES)
         self._refuse_while_playing()  # another may have started while the file was read
         self._stage.check(Play(scenario, path))
-        start, owner = self._core.scheduler.tick + 1, self._core.gate.owner
+        start = self._core.scheduler.tick + 1
+        owner = self._core.gate.owner
         self._stage.play(scenario, start)
         end = start + round(scenario.length_s / self._period_s)
         self._playing = _Playing(path.name, start, end, owner)
@@ -73,7 +76,8 @@ class Scenarios:
         ControlRefused if none is playing.
         """
         self._core.faults.expect_room()
-        playing, self._playing = self._playing, None
+        playing = self._playing
+        self._playing = None
         if playing is None:
             raise ControlRefused("no scenario is playing")
         self._core.faults.reset()
@@ -95,7 +99,8 @@ class Scenarios:
 
     def view(self) -> dict[str, Any] | None:
         """Return name, time and length of the scenario that plays, or None."""
-        playing, tick = self._playing, self._core.scheduler.tick
+        playing = self._playing
+        tick = self._core.scheduler.tick
         if playing is None or not playing.start_tick - 1 <= tick <= playing.end_tick:
             return None
         return {
@@ -111,7 +116,9 @@ class Recordings:
     def __init__(
         self, folder: Path, config: RecordingConfig, image: str, tasks: Supervisor
     ) -> None:
-        self._folder, self._config, self._image = folder, config, image
+        self._folder = folder
+        self._config = config
+        self._image = image
         self._tasks = tasks
         self._running: SupervisedTask | None = None
         self._asked = asyncio.Event()

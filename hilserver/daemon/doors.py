@@ -30,7 +30,15 @@ class DoorRow(NamedTuple):
 
 def rows_of(config: Config) -> Iterator[DoorRow]:
     """Yield the doors that are open, in the order of how well they know who comes."""
-    people = _people(config)
+    # Who may use each right where people log in.
+    permissions = config.opcua.permissions
+    *written, called = _EXAMPLES
+    needed = [needed_role(permissions.write, name) for name in written]
+    if needed[-1] is not None:
+        # of parameters, whatever the table says
+        needed[-1] = max(needed[-1], Role.ENGINEER)
+    needed.append(needed_role(permissions.call, called))
+    people = [_who(config, role) for role in needed]
     if config.opcua.enabled:
         yield DoorRow("OPC UA", *people)
         yield DoorRow("shell", *people)
@@ -52,18 +60,6 @@ def rows_of(config: Config) -> Iterator[DoorRow]:
             config, needed_role(config.opcua.permissions.call, "StartScenario")
         )
         yield DoorRow("scenario", starts, starts, starts)
-
-
-def _people(config: Config) -> list[str]:
-    """Return who may use each right where people log in."""
-    permissions = config.opcua.permissions
-    *written, called = _EXAMPLES
-    needed = [needed_role(permissions.write, name) for name in written]
-    if needed[-1] is not None:
-        # of parameters, whatever the table says
-        needed[-1] = max(needed[-1], Role.ENGINEER)
-    needed.append(needed_role(permissions.call, called))
-    return [_who(config, role) for role in needed]
 
 
 def _who(config: Config, needed: Role | None) -> str:

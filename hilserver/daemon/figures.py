@@ -105,7 +105,8 @@ def model_gap(
     if frame is None:
         return gaps
     for channel in gate.measured:
-        measured, simulated = table.slot(f"{MEASURED}{channel}"), table.slot(channel)
+        measured = table.slot(f"{MEASURED}{channel}")
+        simulated = table.slot(channel)
         if frame.status[measured] == GOOD and frame.status[simulated] == GOOD:
             gap = float(frame.values[measured] - frame.values[simulated])
             gaps[channel] = (

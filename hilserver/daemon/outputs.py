@@ -35,7 +35,8 @@ class PublishedOutputs:
 
     def publish(self, control: Control, parts: Iterable[Part]) -> None:
         """Send the plant a heartbeat, take the newest frame and hand it on."""
-        image, gate = self._core.image, self._core.gate
+        image = self._core.image
+        gate = self._core.gate
         image.control.heartbeat += 1
         frame = image.latest()
         if frame is None:
@@ -53,15 +54,18 @@ class PublishedOutputs:
 
         LookupError before the first frame.
         """
-        frame, slots = self.frame, list(self._core.table[name].slots)
+        frame = self.frame
+        slots = list(self._core.table[name].slots)
         if frame is None:
             raise LookupError("no frame has been published yet")
-        values, status = frame.values[slots].tolist(), int(frame.status[slots].max())
+        values = frame.values[slots].tolist()
+        status = int(frame.status[slots].max())
         return values if len(slots) > 1 else values[0], status, frame.planned_ns
 
     def exported(self) -> Mapping[str, float]:
         """Return the outputs that metrics show; none before the first frame."""
-        frame, table = self.frame, self._core.table
+        frame = self.frame
+        table = self._core.table
         if frame is None:
             return {}
         names = EXPORTED + tuple(name for name in OF_THE_BODY if name in table)

@@ -35,7 +35,8 @@ class Patches:
     """Lays patches of one folder over the plant of a running core, and saves what was tuned."""
 
     def __init__(self, folder: Path, core: Core) -> None:
-        self._folder, self._core = folder, core
+        self._folder = folder
+        self._core = core
         self._patch = core.assembly.patch
         # the file's values that are in force; a reload brings others
         self.from_file = core.assembly.from_file
@@ -116,7 +117,8 @@ class Patches:
             self._tell(300, f"the model patch '{name}' is not part of the loaded state")
 
     def _checked(self, patch: Patch) -> dict[str, float]:
-        table, values = self._core.parameters.table, {}
+        table = self._core.parameters.table
+        values = {}
         patch.applied(self._core.assembly.config.plant)
         for name, value in patch.values.items():
             try:

@@ -84,7 +84,8 @@ class Reloader:
     """Re-reads the configuration file of a running daemon."""
 
     def __init__(self, daemon: Daemon, out: Stream | None = None) -> None:
-        self._daemon, self._out = daemon, out
+        self._daemon = daemon
+        self._out = out
         # has the file without options: those are not changes
         self._patches = daemon.desk.patches
         self._lock = asyncio.Lock()

@@ -30,12 +30,10 @@ class GapWatch:
         *,
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        self._config, self._table, self._gaps, self._events = (
-            config,
-            table,
-            gaps,
-            events,
-        )
+        self._config = config
+        self._table = table
+        self._gaps = gaps
+        self._events = events
         self._now_ns = monotonic_ns
         self._since_ns: dict[str, int] = {}
         self._alarms: set[str] = set()
@@ -49,37 +47,35 @@ class GapWatch:
         """Check the gaps; called by the supervise slice."""
         if not self._config.limits:
             return
-        gaps, now_ns = self._gaps(), self._now_ns()
+        gaps = self._gaps()
+        now_ns = self._now_ns()
         for channel, limit in self._config.limits.items():
             gap = gaps.get(channel)
             if gap is None or abs(gap) <= limit:
-                self._fits(channel, gap)
+                self._since_ns.pop(channel, None)
+                if channel in self._alarms:
+                    self._alarms.remove(channel)
+                    how = (
+                        "is no longer measured"
+                        if gap is None
+                        else "is within its limit again"
+                    )
+                    self._tell(200, channel, f"model gap: {channel} {how}")
             else:
-                self._exceeds(channel, gap, limit, now_ns)
-
-    def _exceeds(self, channel: str, gap: float, limit: float, now_ns: int) -> None:
-        since_ns = self._since_ns.setdefault(channel, now_ns)
-        if (
-            channel not in self._alarms
-            and now_ns - since_ns >= self._config.after_s * 1e9
-        ):
-            self._alarms.add(channel)
-            unit = self._table[channel].unit
-            self._tell(
-                600,
-                channel,
-                f"model gap: {channel}: measured minus simulated is {gap:+.3g} {unit}, limit"
-                f" {limit:g} {unit}",
-            )
-
-    def _fits(self, channel: str, gap: float | None) -> None:
-        self._since_ns.pop(channel, None)
-        if channel in self._alarms:
-            self._alarms.remove(channel)
-            how = (
-                "is no longer measured" if gap is None else "is within its limit again"
-            )
-            self._tell(200, channel, f"model gap: {channel} {how}")
+                # It exceeds its limit: an alarm when it has done so for long enough.
+                since_ns = self._since_ns.setdefault(channel, now_ns)
+                if (
+                    channel not in self._alarms
+                    and now_ns - since_ns >= self._config.after_s * 1e9
+                ):
+                    self._alarms.add(channel)
+                    unit = self._table[channel].unit
+                    self._tell(
+                        600,
+                        channel,
+                        f"model gap: {channel}: measured minus simulated is {gap:+.3g} {unit},"
+                        f" limit {limit:g} {unit}",
+                    )
 
     def _tell(self, severity: int, channel: str, text: str) -> None:
         self._events.publish(Event(EventKind.MODEL_GAP, severity, channel, text))

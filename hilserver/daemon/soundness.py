@@ -93,7 +93,8 @@ def _matches_none(pattern: str, names: list[str], otherwise: str = _SIGNALS) -> 
 def shared_addresses(assembly: Assembly) -> Iterator[Complaint]:
     """Yield ports that two servers of the daemon would listen on."""
     config = assembly.config
-    opcua, s7 = config.opcua, config.s7.server
+    opcua = config.opcua
+    s7 = config.s7.server
     listening: dict[tuple[str, ...], tuple[str, int]] = {}
     if opcua.enabled:
         listening["opcua", "endpoint"] = opcua.host, opcua.port

@@ -34,7 +34,8 @@ class Supervision:
         self._plant_state = State.of(core.image.region("x")[0])
         self._noticed: set[str] = set()
         self._plant_slice = config.plant.slice
-        self._gate, self._events = core.gate, core.events
+        self._gate = core.gate
+        self._events = core.events
         self._scheduler = core.scheduler
         self._control = control
         control.before_reset.append(self._take_lapses)
@@ -53,10 +54,7 @@ class Supervision:
         self._look_at_models()
         self._control.supervise()
         self._watch_first_ticks()
-        self._watch_command()
-
-    def _watch_command(self) -> None:
-        """Report, once each time it begins, that the robot drives other than commanded."""
+        # Once each time it begins: the robot drives other than commanded.
         for name, text in NOTICES.items():
             if not self._plant_state[name]:
                 self._noticed.discard(name)

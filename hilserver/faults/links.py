@@ -77,7 +77,8 @@ class PeerLine:
     def clear(self, name: str | None = None) -> bool:
         """End the fault `name` or all; return whether there was one."""
         if name is None:
-            had, self._faults = bool(self._faults), {}
+            had = bool(self._faults)
+            self._faults = {}
             return had
         return self._faults.pop(name, None) is not None
 

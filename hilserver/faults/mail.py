@@ -57,14 +57,13 @@ class Mailbox:
             )
         head = self.head
         for offset, command in enumerate(commands):
-            self._write(((head + offset) & (lay.MAIL_ROWS - 1)) * lay.MAIL_ROW, command)
+            place = ((head + offset) & (lay.MAIL_ROWS - 1)) * lay.MAIL_ROW
+            mail = Mail.of(self._mail, place)
+            if command.entry is not None:
+                mail.entry = command.entry
+            mail.operation = command.operation
+            mail.entry.number = command.number
         show_mail(head + len(commands), self._image.words)
-
-    def _write(self, place: int, command: ModifierCommand) -> None:
-        mail = Mail.of(self._mail, place)
-        if command.entry is not None:
-            mail.entry = command.entry
-        mail.operation, mail.entry.number = command.operation, command.number
 
     def acting(self) -> list[ModifierEntry]:
         """Return a copy of the modifiers in the arena; between two ticks it is exact."""

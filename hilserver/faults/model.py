@@ -182,14 +182,6 @@ class Fault(Section):
                 raise ValueError(
                     f"{self.fault} does not take '{key}', it takes {known}"
                 )
-        self._check_place(form)
-        if self.until_s is not None and self.for_s is not None:
-            raise ValueError("give until_s or for_s, not both")
-        if self.until_s is not None and self.until_s <= self.from_s:
-            raise ValueError(f"until_s is {self.until_s:g}, it must be above from_s")
-        return self
-
-    def _check_place(self, form: Form) -> None:
         places = [key for key in _BOTH if getattr(self, key) is not None]
         if len(places) > 1 or any(place not in form.on for place in places):
             raise ValueError(
@@ -197,6 +189,11 @@ class Fault(Section):
             )
         if form.on and not places:
             raise ValueError(f"{self.fault} needs '{form.on[0]}'")
+        if self.until_s is not None and self.for_s is not None:
+            raise ValueError("give until_s or for_s, not both")
+        if self.until_s is not None and self.until_s <= self.from_s:
+            raise ValueError(f"until_s is {self.until_s:g}, it must be above from_s")
+        return self
 
     @property
     def title(self) -> str:

@@ -66,7 +66,16 @@ class Planner:
         if fault.signal is None:
             found = self._defects[fault.fault](fault)
         else:
-            found = self._on_signal(fault, self._signal(fault.signal))
+            if fault.signal not in self._table or self._table[fault.signal].hidden:
+                raise ValueError(
+                    no_signal(fault.signal, (signal.name for signal in self._table))
+                )
+            if fault.signal.startswith("sim."):
+                raise ValueError(
+                    f"'{fault.signal}' shows time or state, which no fault can change"
+                )
+            signal = self._table[fault.signal]
+            found = self._on_signal(fault, signal)
         for entry in found:
             entry.from_tick, entry.until_tick = self._span(fault, start_tick)
         return found
@@ -81,13 +90,6 @@ class Planner:
         if start_tick is None:
             return lay.NOW, lay.FOREVER if end is None else end
         return start_tick + begin, lay.FOREVER if end is None else start_tick + end
-
-    def _signal(self, name: str) -> Signal:
-        if name not in self._table or self._table[name].hidden:
-            raise ValueError(no_signal(name, (signal.name for signal in self._table)))
-        if name.startswith("sim."):
-            raise ValueError(f"'{name}' shows time or state, which no fault can change")
-        return self._table[name]
 
     def _side(self, signal: Signal) -> int:
         return lay.INPUT if signal.direction is Direction.IN else lay.OUTPUT
@@ -143,7 +145,8 @@ class Planner:
         return [self._scaled("twist.angular_rad_s", 1.0 / RPM_PER_RAD_S)]
 
     def _last_wheel(self, fault: Fault) -> list[ModifierEntry]:
-        slot, limit = self._table.slot, fault.value
+        slot = self._table.slot
+        limit = fault.value
         if limit is not None and limit <= 0:
             raise ValueError(f"value is a speed above 0 rpm, not {limit:g}")
         return [

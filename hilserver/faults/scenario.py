@@ -143,16 +143,13 @@ class ScenarioPlayer:
                 if complaint:
                     where = place(path, ("steps", index, "write", name))
                     raise ConfigError(f"{where}{complaint}")
-        self._check_parameters(scenario, path)
-
-    def _check_parameters(self, scenario: Scenario, path: Path | None) -> None:
-        """Refuse values that would not fit if nothing else changed meanwhile."""
+        # Values that would not fit if nothing else changed meanwhile.
         values: dict[str, float] = {}
-        for index, step in enumerate(scenario.steps):
-            for name, value in step.set_.items():
-                with placed(path, ("steps", index, "set", name)):
-                    values |= self._parameters.checked({name: value})
-            with placed(path, ("steps", index, "set")):
+        for number, later in enumerate(scenario.steps):
+            for parameter, wanted in later.set_.items():
+                with placed(path, ("steps", number, "set", parameter)):
+                    values |= self._parameters.checked({parameter: wanted})
+            with placed(path, ("steps", number, "set")):
                 self._parameters.try_out(values)
 
     def play(self, scenario: Scenario, start_tick: int = 0) -> None:

@@ -37,7 +37,8 @@ class Arrivals:
     """
 
     def __init__(self, limit_ns: int, left_over_ns: int = LEFT_OVER_NS) -> None:
-        self._limit_ns, self._least_ns = limit_ns, left_over_ns
+        self._limit_ns = limit_ns
+        self._least_ns = left_over_ns
         # 0: not yet
         self._looked_ns = self._stood_since_ns = self._left_over_until_ns = 0
 
@@ -56,8 +57,6 @@ class Arrivals:
         if not self._looked_ns or stood_ns <= WATCH_NS + self._limit_ns:
             return
         draining_ns = max(self._least_ns, stood_ns // LEFT_OVER_SHARE)
-        self._stood_since_ns, self._left_over_until_ns = (
-            self._looked_ns,
-            now_ns + draining_ns,
-        )
+        self._stood_since_ns = self._looked_ns
+        self._left_over_until_ns = now_ns + draining_ns
         self._looked_ns = now_ns

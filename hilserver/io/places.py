@@ -15,7 +15,7 @@ sessions and users besides.
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from enum import IntEnum
 from typing import Final
 
@@ -36,8 +36,10 @@ class KeptPlace:
     """The place of one client; `end` makes it leave."""
 
     def __init__(self, address: str, end: Callable[[], None], now_s: float) -> None:
-        self.address, self.end = address, end
-        self.use, self.since_s = PlaceUse.OPENS, now_s
+        self.address = address
+        self.end = end
+        self.use = PlaceUse.OPENS
+        self.since_s = now_s
 
 
 class PlaceKeeper:
@@ -46,7 +48,8 @@ class PlaceKeeper:
     def __init__(
         self, most: int, monotonic_s: Callable[[], float] = time.monotonic
     ) -> None:
-        self._most, self._now_s = most, monotonic_s
+        self._most = most
+        self._now_s = monotonic_s
         self._held: dict[KeptPlace, None] = {}
 
     def __len__(self) -> int:
@@ -57,7 +60,17 @@ class PlaceKeeper:
         share = self._most if is_loopback(address) else max(1, self._most // 2)
         own = [place for place in self._held if place.address == address]
         if len(own) >= share or len(self._held) >= self._most:
-            first = self._first_to_yield(own if len(own) >= share else self._held)
+            among = own if len(own) >= share else self._held
+            crowd = Counter(place.address for place in self._held)
+            late_s = self._now_s() - YIELDS_AFTER_S
+            may_yield = (
+                p for p in among if p.use is PlaceUse.OPENS or p.since_s <= late_s
+            )
+            first = min(
+                may_yield,
+                key=lambda p: (p.use, -crowd[p.address], p.since_s),
+                default=None,
+            )
             if first is None:
                 return None
             self.leave(first)
@@ -73,11 +86,3 @@ class PlaceKeeper:
     def leave(self, place: KeptPlace) -> None:
         """Free a place, also one that has been freed."""
         self._held.pop(place, None)
-
-    def _first_to_yield(self, among: Iterable[KeptPlace]) -> KeptPlace | None:
-        crowd = Counter(place.address for place in self._held)
-        late_s = self._now_s() - YIELDS_AFTER_S
-        may_yield = (p for p in among if p.use is PlaceUse.OPENS or p.since_s <= late_s)
-        return min(
-            may_yield, key=lambda p: (p.use, -crowd[p.address], p.since_s), default=None
-        )

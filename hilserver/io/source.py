@@ -58,12 +58,17 @@ class Source:
         is_exact: bool = False,
         kinds: Iterable[StrEnum] = (),
     ) -> None:
-        self.name, self.status = driver.source, status
+        self.name = driver.source
+        self.status = status
         self.faults = FaultBook(status, publish, (*kinds, *WrongValue))
         self.staleness = Staleness(round(driver.limit_ms * 1e6), commanding)
-        self._label, self._gate, self._publish = label, gate, publish
-        self._on_stale, self._fresh = driver.on_stale, fresh
-        self._arrivals, self._is_exact = Arrivals(self.staleness.limit_ns), is_exact
+        self._label = label
+        self._gate = gate
+        self._publish = publish
+        self._on_stale = driver.on_stale
+        self._fresh = fresh
+        self._arrivals = Arrivals(self.staleness.limit_ns)
+        self._is_exact = is_exact
         # if the first command lapsed at once, nothing could start
         self._has_written = False
 
@@ -85,7 +90,8 @@ class Source:
         broken: Collection[str] = (),
     ) -> Outcome:
         """Hand one group to the gate; report what is wrong with it, as values of `of`."""
-        came_ns, self._has_written = self.came_ns(now_ns), True
+        came_ns = self.came_ns(now_ns)
+        self._has_written = True
         refused = self._gate.write(
             self.name,
             values,

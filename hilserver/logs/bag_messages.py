@@ -93,7 +93,8 @@ def _files(path: Path) -> Sequence[Path]:
 
 
 def _read_file(path: Path, wanted: set[str], most: int | None) -> Bag:
-    budget, bag = Budget(path), Bag(path, most=most)
+    budget = Budget(path)
+    bag = Bag(path, most=most)
     if not path.name.endswith(PACKED):
         return _read_plain(bag, path, wanted, budget)
     with tempfile.TemporaryDirectory(prefix="hilserver-") as folder:
@@ -191,7 +192,24 @@ def _read_mcap(bag: Bag, file: Path, wanted: set[str], budget: Budget) -> None:
                 return
             try:
                 for record in _opened(opcode, body, budget):
-                    _take_mcap(record, bag, wanted, schemas, names, budget)
+                    if isinstance(record, rec.Schema):
+                        schemas[record.id] = record
+                    elif isinstance(record, rec.Channel):
+                        schema = schemas.get(record.schema_id) or rec.Schema(
+                            0, b"", "", ""
+                        )
+                        names[record.id] = record.topic
+                        bag.topics[record.topic] = Topic(
+                            schema.name,
+                            schema.data.decode(errors="replace"),
+                            schema.encoding,
+                            record.message_encoding,
+                        )
+                    elif (
+                        isinstance(record, rec.Message)
+                        and (name := names.get(record.channel_id)) in wanted
+                    ):
+                        bag.take(str(name), record.log_time, record.data, budget)
             except (*_BROKEN, zstandard.ZstdError) as error:
                 why = (
                     str(error)
@@ -224,29 +242,3 @@ def _opened(opcode: int, body: bytes, budget: Budget) -> Iterator[rec.McapRecord
         yield rec.Message.read(stream, len(body))
     elif opcode in _READ:
         yield _READ[opcode](stream)
-
-
-def _take_mcap(
-    record: rec.McapRecord,
-    bag: Bag,
-    wanted: set[str],
-    schemas: dict[int, rec.Schema],
-    names: dict[int, str],
-    budget: Budget,
-) -> None:
-    if isinstance(record, rec.Schema):
-        schemas[record.id] = record
-    elif isinstance(record, rec.Channel):
-        schema = schemas.get(record.schema_id) or rec.Schema(0, b"", "", "")
-        names[record.id] = record.topic
-        bag.topics[record.topic] = Topic(
-            schema.name,
-            schema.data.decode(errors="replace"),
-            schema.encoding,
-            record.message_encoding,
-        )
-    elif (
-        isinstance(record, rec.Message)
-        and (name := names.get(record.channel_id)) in wanted
-    ):
-        bag.take(str(name), record.log_time, record.data, budget)

@@ -27,7 +27,8 @@ def read_own_bag(path: Path) -> Log:
     )
     types = Types()
     types.add(topics.STATE_TYPE, topics.STATE_TEXT)
-    runs, frames = _all(bags, topics.RUN), _all(bags, topics.FRAMES)
+    runs = _all(bags, topics.RUN)
+    frames = _all(bags, topics.FRAMES)
     if not runs:
         raise LogError(
             f"{path}: contains no hilserver recording (no topic {topics.RUN}); give a mapping of"

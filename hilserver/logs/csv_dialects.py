@@ -42,10 +42,8 @@ def with_points(
 
     `dates`: columns without numbers. LogError if the file has both marks.
     """
-    used, places = (
-        "",
-        [place for place in table.read if table.header[place] not in dates],
-    )
+    used = ""
+    places = [place for place in table.read if table.header[place] not in dates]
     for row in rows:
         for place in (place for place in places if place < len(row)):
             text = row[place]
@@ -89,7 +87,8 @@ def with_stamps(
         if text:
             whole = text
             if is_split and second < len(row):
-                whole, row[second] = f"{text} {row[second].strip()}", ""
+                whole = f"{text} {row[second].strip()}"
+                row[second] = ""
             ns = stamp_ns(whole)
             if ns is None:
                 where = place_of(table.path, reader.line_num, table.header, time)

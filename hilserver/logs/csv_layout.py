@@ -115,7 +115,27 @@ def layout_of(path: Path, lines: Sequence[str]) -> CsvLayout:
     width = len(rows[begin])
     keys = {row[0] for row in rows[:begin] if row and len(row) == width}
     if {_SCOPE_NAME, "Data-Type"} <= keys:
-        return _of_scope(path, rows, begin, separator)
+        # An export of TwinCAT Scope: each of its rows begins with a key.
+        n_columns = len(rows[begin])
+        at = {row[0]: i for i, row in enumerate(rows[:begin]) if len(row) == n_columns}
+        names = list(rows[at[_SCOPE_NAME]])
+        units = list(rows[at[_SCOPE_UNITS]]) if _SCOPE_UNITS in at else [""] * n_columns
+        units = ["" if unit.lower() == "(none)" else unit for unit in units]
+        whole = [row for row in rows[begin:-1] if len(row) == n_columns]
+        for place in range(1, n_columns):
+            if names[place] != _SCOPE_NAME:
+                continue
+            if any(row[place] != row[0] for row in whole):
+                raise LogError(
+                    f"{path}: column {place + 1} holds times of its own, other than those of column"
+                    " 1; export it with one time column for all channels"
+                )
+            names[place] = units[place] = ""
+        names[0] = "time"
+        units[0] = "ms"
+        header_row = at[_SCOPE_NAME] + 1
+        first = tuple(rows[begin])
+        return CsvLayout(separator, names, header_row, begin + 1, tuple(units), first)
     return _above(lines, rows, shapes, begin, separator) or plain
 
 
@@ -223,30 +243,3 @@ def _above(
             break
     first = tuple(rows[begin])
     return CsvLayout(separator, header, at + 1, begin + 1, tuple(units), first)
-
-
-def _of_scope(
-    path: Path, rows: list[list[str]], begin: int, separator: str
-) -> CsvLayout:
-    """Return the layout of an export of TwinCAT Scope: each of its rows begins with a key.
-
-    Either one column of time [ms] stands before all channels, or one before each.
-    """
-    width = len(rows[begin])
-    at = {row[0]: i for i, row in enumerate(rows[:begin]) if len(row) == width}
-    names = list(rows[at[_SCOPE_NAME]])
-    units = list(rows[at[_SCOPE_UNITS]]) if _SCOPE_UNITS in at else [""] * width
-    units = ["" if unit.lower() == "(none)" else unit for unit in units]
-    whole = [row for row in rows[begin:-1] if len(row) == width]
-    for place in range(1, width):
-        if names[place] != _SCOPE_NAME:
-            continue
-        if any(row[place] != row[0] for row in whole):
-            raise LogError(
-                f"{path}: column {place + 1} holds times of its own, other than those of column"
-                " 1; export it with one time column for all channels"
-            )
-        names[place] = units[place] = ""
-    names[0], units[0] = "time", "ms"
-    header_row, first = at[_SCOPE_NAME] + 1, tuple(rows[begin])
-    return CsvLayout(separator, names, header_row, begin + 1, tuple(units), first)

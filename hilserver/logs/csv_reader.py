@@ -64,7 +64,8 @@ class _Names:
         self, known: Container[str] | None, run: Mapping[str, Any] | None
     ) -> None:
         own = [] if run is None else [s["name"] for s in run["signals"]]
-        self._known, self._own = known, own
+        self._known = known
+        self._own = own
         iterable = known if isinstance(known, Sequence | set | frozenset | dict) else ()
         self._all = [*own, *iterable, TIME, SEGMENT, BLOCK]
 
@@ -159,23 +160,20 @@ def _read_strictly(
                 table.stamps, table.units = "texts", {**table.units, time: "ns"}
             return _parse(table, reader, rows, lines, time, drop_unended=ours)
         except UnicodeDecodeError as error:
-            raise _undecodable(path, error) from None
+            data, at = path.read_bytes(), error.start
+            try:
+                data.decode("utf-8")
+            except UnicodeDecodeError as whole:
+                # The place in the whole file: a reader in portions counts in its portion.
+                at = whole.start
+            line = data.count(b"\n", 0, at) + 1
+            raise LogError(
+                f"{path}: row {line}: byte {at} is not UTF-8; save the file as UTF-8"
+            ) from None
         except csv.Error as error:
             raise LogError(
                 f"{path}: not CSV: {error}; write UTF-8 text with commas"
             ) from None
-
-
-def _undecodable(path: Path, error: UnicodeDecodeError) -> LogError:
-    data = path.read_bytes()
-    try:
-        data.decode("utf-8")
-    except UnicodeDecodeError as again:
-        error = again
-    row = data.count(b"\n", 0, error.start) + 1
-    return LogError(
-        f"{path}: row {row}: byte {error.start} is not UTF-8; save the file as UTF-8"
-    )
 
 
 def _without(
@@ -204,7 +202,8 @@ def _parse(
     *,
     drop_unended: bool,
 ) -> Table:
-    width, at = len(table.header), -1 if time is None else table.names.index(time)
+    width = len(table.header)
+    at = -1 if time is None else table.names.index(time)
     held: tuple[int, list[str]] | None = None
     for row in rows:
         if held is not None:
@@ -226,7 +225,8 @@ class _Lines:
     """Lines of a file, empty outside its table; remembers whether the last one was terminated."""
 
     def __init__(self, file: TextIO, layout: CsvLayout) -> None:
-        self._file, self._layout = file, layout
+        self._file = file
+        self._layout = layout
         self.ended = True
 
     def __iter__(self) -> Iterator[str]:
@@ -282,7 +282,8 @@ def _begin(
             where = place_of(path, layout.header_row, header, name)
             raise LogError(f"{where}: there is no such signal; {names.hint(name)}")
     table = Table(path, header, read=read, notices=layout.notices(path))
-    table.header_row, table.separator = layout.header_row, layout.separator
+    table.header_row = layout.header_row
+    table.separator = layout.separator
     table.units = {name: unit for name in header if (unit := layout.unit(name))}
     return table
 

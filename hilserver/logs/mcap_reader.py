@@ -65,7 +65,16 @@ class Contents:
                 raise ValueError("two lists of signals")
             self.names = names
         elif isinstance(record, rec.Chunk) and self.names:
-            self._take_chunk(budget.unpack(record))
+            data = budget.unpack(record)
+            if data[9:11] == CHANGES.to_bytes(2, "little"):
+                self.changes.append(sparse.from_text(data[_MESSAGE_HEAD:]))
+            else:
+                n_signals = len(self.names)
+                table = np.frombuffer(data, dtype=record_dtype(n_signals))
+                if not (table["opcode"] == Opcode.MESSAGE).all():
+                    raise ValueError("foreign records in a chunk")
+                payload: NDArray[np.void] = table["payload"]
+                self.tables.append(payload)
         elif isinstance(record, rec.Metadata) and record.name == METADATA:
             self.run = {
                 key: text if key in _TEXTS else json.loads(text)
@@ -79,20 +88,6 @@ class Contents:
             _, segment, tick = record.name.split("-")
             words = np.frombuffer(record.data, dtype="<i8").astype(np.int64)
             self.states.append(RecordedState(int(segment), int(tick), words))
-
-    def _take_chunk(self, data: bytes) -> None:
-        if data[9:11] == CHANGES.to_bytes(2, "little"):
-            self.changes.append(sparse.from_text(data[_MESSAGE_HEAD:]))
-        else:
-            self.tables.append(_messages(data, len(self.names)))
-
-
-def _messages(data: bytes, n_signals: int) -> NDArray[np.void]:
-    table = np.frombuffer(data, dtype=record_dtype(n_signals))
-    if not (table["opcode"] == Opcode.MESSAGE).all():
-        raise ValueError("foreign records in a chunk")
-    payload: NDArray[np.void] = table["payload"]
-    return payload
 
 
 def read_mcap(path: Path) -> Log:

@@ -115,7 +115,8 @@ class McapWriter:
         table["log_time"] = table["publish_time"] = frames.planned_ns + self._utc_ns
         payload = table["payload"]
         payload["cdr"] = CDR_LITTLE_ENDIAN
-        payload["number"], payload["segment"] = frames.numbers, batch.segments
+        payload["number"] = frames.numbers
+        payload["segment"] = batch.segments
         payload["tick"] = frames.ticks
         payload["planned_ns"] = frames.planned_ns
         payload["values"] = frames.values[:, self._slots]
@@ -148,7 +149,8 @@ class McapWriter:
         self._summary.metadata.append(index)
 
     def _attach(self, name: str, media_type: str, data: bytes) -> None:
-        offset, now_ns = self._file.size, time.time_ns()
+        offset = self._file.size
+        now_ns = time.time_ns()
         length = self._append(rec.Attachment(now_ns, now_ns, name, media_type, data))
         self._summary.attachments.append(
             rec.AttachmentIndex(
@@ -165,33 +167,39 @@ class McapWriter:
         """Write what is pending, frames and changes in a chunk each."""
         if self._pending:
             table = np.concatenate(self._pending)
-            self._pending, self._pending_bytes = [], 0
+            self._pending = []
+            self._pending_bytes = 0
             times = table["log_time"].tolist()
             self._summary.add(
                 self._file, CHANNEL, times, table.tobytes(), table.dtype.itemsize
             )
         if self._changed:
-            changed, self._changed = self._changed, []
-            self._write_changes(changed)
-
-    def _write_changes(self, changed: list[tuple[int, Change]]) -> None:
-        if len(self._summary.channels) == 1:
-            schema = json.dumps(sparse.SCHEMA).encode()
-            own: tuple[rec.Schema, rec.Channel] = (
-                rec.Schema(
-                    data=schema, encoding="jsonschema", id=CHANGES, name=CHANGES_SCHEMA
-                ),
-                rec.Channel(CHANGES, sparse.TOPIC, "json", {}, CHANGES),
-            )
-            self._summary.schemas.append(own[0])
-            self._summary.channels.append(own[1])
-            for record in own:
-                self._append(record)
-        for stamp_ns, change in changed:
-            text = sparse.as_text(change).encode()
-            number = change.number & 0xFFFF_FFFF
-            message = _encode(rec.Message(CHANGES, stamp_ns, text, stamp_ns, number))
-            self._summary.add(self._file, CHANGES, [stamp_ns], message, len(message))
+            changed = self._changed
+            self._changed = []
+            if len(self._summary.channels) == 1:
+                schema = json.dumps(sparse.SCHEMA).encode()
+                own: tuple[rec.Schema, rec.Channel] = (
+                    rec.Schema(
+                        data=schema,
+                        encoding="jsonschema",
+                        id=CHANGES,
+                        name=CHANGES_SCHEMA,
+                    ),
+                    rec.Channel(CHANGES, sparse.TOPIC, "json", {}, CHANGES),
+                )
+                self._summary.schemas.append(own[0])
+                self._summary.channels.append(own[1])
+                for record in own:
+                    self._append(record)
+            for stamp_ns, change in changed:
+                text = sparse.as_text(change).encode()
+                number = change.number & 0xFFFF_FFFF
+                message = _encode(
+                    rec.Message(CHANGES, stamp_ns, text, stamp_ns, number)
+                )
+                self._summary.add(
+                    self._file, CHANGES, [stamp_ns], message, len(message)
+                )
 
     def sync(self) -> None:
         """Hand everything to the disk."""
@@ -224,7 +232,8 @@ class _Summary:
     """The index at the end of the file, collected chunk by chunk."""
 
     def __init__(self, schemas: list[rec.Schema], channels: list[rec.Channel]) -> None:
-        self.schemas, self.channels = schemas, channels
+        self.schemas = schemas
+        self.channels = channels
         self.chunks: list[rec.ChunkIndex] = []
         self.metadata: list[rec.MetadataIndex] = []
         self.attachments: list[rec.AttachmentIndex] = []
@@ -240,12 +249,20 @@ class _Summary:
         each: int,
     ) -> None:
         """Write messages of `each` bytes as a chunk with its index, and remember its position."""
-        start_ns, end_ns = min(times_ns), max(times_ns)
+        start_ns = min(times_ns)
+        end_ns = max(times_ns)
         packed = self._compressor.compress(data)
         chunk = _encode(
             rec.Chunk("zstd", packed, end_ns, start_ns, zlib.crc32(data), len(data))
         )
-        index = _message_index(channel, times_ns, each)
+        entries = np.empty((len(times_ns), 2), dtype="<u8")
+        entries[:, 0] = times_ns
+        entries[:, 1] = np.arange(len(times_ns)) * each
+        places = entries.tobytes()
+        head = struct.pack(
+            "<BQHI", Opcode.MESSAGE_INDEX, 6 + len(places), channel, len(places)
+        )
+        index = head + places
         offset = file.size
         file.append(chunk + index)
         self.chunks.append(
@@ -320,12 +337,3 @@ def _encode(record: rec.McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())  # type: ignore[no-untyped-call]
-
-
-def _message_index(channel: int, times_ns: Sequence[int], each: int) -> bytes:
-    entries = np.empty((len(times_ns), 2), dtype="<u8")
-    entries[:, 0] = times_ns
-    entries[:, 1] = np.arange(len(times_ns)) * each
-    data = entries.tobytes()
-    head = struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + len(data), channel, len(data))
-    return head + data

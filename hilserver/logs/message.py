@@ -65,7 +65,10 @@ def make_layout(names: Sequence[str]) -> MessageLayout:
             if part not in group.groups:
                 own = group.claim(part)
                 prefix = "" if group is root else group.type_name
-                group.groups[part] = _Group(prefix + _camel(own), own)
+                camel_case = "".join(
+                    part[:1].upper() + part[1:] for part in own.split("_")
+                )
+                group.groups[part] = _Group(prefix + camel_case, own)
             group = group.groups[part]
         group.leaves[group.claim(leaf)] = name
     order: list[str] = []
@@ -92,7 +95,3 @@ def _collect(group: _Group, order: list[str], texts: list[str]) -> None:
     order.extend(group.leaves.values())
     for inner in group.groups.values():
         _collect(inner, order, texts)
-
-
-def _camel(name: str) -> str:
-    return "".join(part[:1].upper() + part[1:] for part in name.split("_"))

@@ -77,7 +77,19 @@ def read_mf4(path: Path) -> Log:
     try:
         with library(path) as mdf:
             run, states = _meta(mdf)
-            table = _table(mdf, path)
+            if not {TIME, SEGMENT} <= set(mdf.channels_db):
+                raise LogError(
+                    f"{path}: was not written by hilserver (no channel '{TIME}'); export it as CSV"
+                    " or Parquet, and give a mapping of its columns"
+                )
+            group, _ = mdf.channels_db[TIME][0]
+            names = [channel.name for channel in mdf.groups[group].channels]
+            n_rows = mdf.groups[group].channel_group.cycles_nr
+            Budget(path).take(n_rows * len(names) * 8)
+            wanted = [(name, group, place) for place, name in enumerate(names)][1:]
+            table = {
+                signal.name: signal.samples for signal in mdf.select(wanted, raw=True)
+            }
     except LogError:
         raise
     except Exception as error:  # noqa: BLE001 -- damaged bytes fail the library in many ways
@@ -94,27 +106,15 @@ def _meta(mdf: "MDF") -> tuple[dict[str, Any] | None, list[RecordedState]]:
     return None, []
 
 
-def _table(mdf: "MDF", path: Path) -> dict[str, NDArray[Any]]:
-    if not {TIME, SEGMENT} <= set(mdf.channels_db):
-        raise LogError(
-            f"{path}: was not written by hilserver (no channel '{TIME}'); export it as CSV or"
-            " Parquet, and give a mapping of its columns"
-        )
-    group, _ = mdf.channels_db[TIME][0]
-    names = [channel.name for channel in mdf.groups[group].channels]
-    n_rows = mdf.groups[group].channel_group.cycles_nr
-    Budget(path).take(n_rows * len(names) * 8)
-    wanted = [(name, group, place) for place, name in enumerate(names)][1:]
-    return {signal.name: signal.samples for signal in mdf.select(wanted, raw=True)}
-
-
 def _as_log(
     path: Path,
     table: dict[str, NDArray[Any]],
     run: dict[str, Any] | None,
     states: list[RecordedState],
 ) -> Log:
-    t_s, segment, block = table.pop(TIME), table.pop(SEGMENT), table.pop(BLOCK, None)
+    t_s = table.pop(TIME)
+    segment = table.pop(SEGMENT)
+    block = table.pop(BLOCK, None)
     names = [
         name for name in table if name.removesuffix(STATUS) not in table.keys() - {name}
     ]

@@ -55,7 +55,8 @@ def tag_ticks(run: Mapping[str, Any]) -> int | None:
     """Return the ticks between two samples of the navigation tag; None if a run does not say."""
     try:
         configuration = configuration_of(run)
-        scheduler, nav = configuration["scheduler"], configuration["sensors"]["nav"]
+        scheduler = configuration["scheduler"]
+        nav = configuration["sensors"]["nav"]
         slice_ms = scheduler["slices"][nav["slice"]]
         period_ms = max(round(1e3 / (nav["rate_hz"] * slice_ms)), 1) * slice_ms
         return max(round(float(period_ms) / float(scheduler["base_period_ms"])), 1)

@@ -55,7 +55,19 @@ def rewrite(log: Log, writer: LogWriter) -> None:
 
 
 def _batches(log: Log) -> Iterator[Segmented]:
-    values, status = _table(log)
+    columns = dict(log.columns)
+    if log.run is None:
+        own = {TIME: log.t_s} | (
+            {} if log.block is None else {BLOCK: log.block.astype(np.float64)}
+        )
+        columns = own | columns
+    values = (
+        np.stack(list(columns.values()), axis=1) if columns else np.zeros((len(log), 0))
+    )
+    status = np.where(np.isnan(values), BAD_NO_DATA, 0).astype(np.int64)
+    for place, name in enumerate(columns):
+        if name in log.status:
+            status[:, place] = log.status[name]
     period_ns = int((log.run or {}).get("base_period_ns", 1))
     ticks = np.rint(log.t_s * (NS_PER_S / period_ns)).astype(np.int64)
     words = np.concatenate(
@@ -72,29 +84,13 @@ def _batches(log: Log) -> Iterator[Segmented]:
         yield Segmented(FrameBatch(first, words[rows], values[rows]), log.segment[rows])
 
 
-def _table(log: Log) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    columns = dict(log.columns)
-    if log.run is None:
-        own = {TIME: log.t_s} | (
-            {} if log.block is None else {BLOCK: log.block.astype(np.float64)}
-        )
-        columns = own | columns
-    values = (
-        np.stack(list(columns.values()), axis=1) if columns else np.zeros((len(log), 0))
-    )
-    status = np.where(np.isnan(values), BAD_NO_DATA, 0).astype(np.int64)
-    for place, name in enumerate(columns):
-        if name in log.status:
-            status[:, place] = log.status[name]
-    return values, status
-
-
 def stamps(log: Log) -> NDArray[np.int64]:
     """Return stamps that rise over all segments [ns]."""
     own = np.rint(log.t_s * NS_PER_S).astype(np.int64)
     begins = np.flatnonzero(np.diff(log.segment, prepend=log.segment[:1] - 1))
     ends = np.append(begins[1:], len(own))
-    offset, result = 0, own.copy()
+    offset = 0
+    result = own.copy()
     for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
         if begin:
             offset = max(int(result[begin - 1]) + GAP_NS - int(own[begin]), offset)

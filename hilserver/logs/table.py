@@ -75,7 +75,8 @@ class Table:
                 cells = dict(zip(self.header, next(rows, []), strict=False))
                 return repr(cells.get(name, "").strip())
         if self.stamps in ("moments", "durations"):
-            count, unit = self.origin + int(number), self.units[name]
+            count = self.origin + int(number)
+            unit = self.units[name]
             kind = "datetime64" if self.stamps == "moments" else "timedelta64"
             return f"'{np.array(count).astype(f'{kind}[{unit}]')}'".replace("T", " ")
         return repr(number) if not self.origin else str(self.origin + int(number))
@@ -111,7 +112,8 @@ def in_time(
 
     LogError if a time is missing, or decreases within a segment.
     """
-    t, run = table.column(time), table.segment(segment)
+    t = table.column(time)
+    run = table.segment(segment)
     missing = np.flatnonzero(~np.isfinite(t))
     if missing.size:
         where = table.where(int(missing[0]), time)

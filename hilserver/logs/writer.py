@@ -84,7 +84,8 @@ class WholeFile:
 
     def append(self, data: bytes) -> None:
         """Write all of `data` or, with an OSError, none of it."""
-        view, done = memoryview(data), 0
+        view = memoryview(data)
+        done = 0
         try:
             while done < len(view):
                 done += os.write(self._fd, view[done:])

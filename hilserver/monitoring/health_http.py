@@ -138,7 +138,8 @@ class HttpServer:
         tasks: Supervisor | None = None,
     ) -> None:
         self._tasks = Supervisor() if tasks is None else tasks
-        self.host, self.port = host, port
+        self.host = host
+        self.port = port
         self._render = render
         self._health = health
         self._timeout_s = timeout_s

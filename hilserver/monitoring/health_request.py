@@ -48,7 +48,16 @@ def parse_request(
             HTTPStatus.BAD_REQUEST, "this is not an HTTP/1.1 request line"
         )
     method, target, minor_version = match.groups()
-    headers = _parse_headers(header_lines)
+    headers: dict[str, list[str]] = {}
+    for number, line in enumerate(header_lines, start=2):
+        parts = _HEADER.fullmatch(line)
+        if parts is None:
+            why = f"line {number} is not a header of the form 'Name: value'"
+            raise RefusedRequestError(HTTPStatus.BAD_REQUEST, why)
+        name, value = parts.groups()
+        headers.setdefault(name.decode("ascii").lower(), []).append(
+            value.decode("latin-1")
+        )
     if minor_version == b"1" and len(headers.get("host", [])) != 1:
         raise RefusedRequestError(
             HTTPStatus.BAD_REQUEST, "HTTP/1.1 needs exactly one Host header"
@@ -66,20 +75,6 @@ def parse_request(
         is_head=method == b"HEAD",
         accept=", ".join(headers.get("accept", [])),
     )
-
-
-def _parse_headers(lines: list[bytes]) -> dict[str, list[str]]:
-    headers: dict[str, list[str]] = {}
-    for number, line in enumerate(lines, start=2):
-        match = _HEADER.fullmatch(line)
-        if match is None:
-            reason = f"line {number} is not a header of the form 'Name: value'"
-            raise RefusedRequestError(HTTPStatus.BAD_REQUEST, reason)
-        name, value = match.groups()
-        headers.setdefault(name.decode("ascii").lower(), []).append(
-            value.decode("latin-1")
-        )
-    return headers
 
 
 def _is_ours(host: str, names: Collection[str]) -> bool:

@@ -86,7 +86,10 @@ class RepeatLimiter:
         if repeats is None or now_s - repeats.begin_s >= self._window_s:
             if repeats is not None and repeats.suppressed:
                 event["suppressed"] = repeats.suppressed
-            self._remember(key, _Repeats(text, now_s))
+            newest = _Repeats(text, now_s)
+            while len(self._seen) >= KEYS_MAX:
+                del self._seen[next(iter(self._seen))]
+            self._seen[key] = newest
             return event
         self._seen[key] = repeats
         if repeats.passed < allowed:
@@ -95,11 +98,6 @@ class RepeatLimiter:
         repeats.suppressed += 1
         self.suppressed += 1
         raise structlog.DropEvent
-
-    def _remember(self, key: str, repeats: _Repeats) -> None:
-        while len(self._seen) >= KEYS_MAX:
-            del self._seen[next(iter(self._seen))]
-        self._seen[key] = repeats
 
     def take_finished(self, *, all_windows: bool = False) -> list[tuple[str, int]]:
         """Return and forget (text, lines left out) of the windows that are over.
@@ -280,15 +278,15 @@ def _printable(_logger: object, _method: str, event: EventDict) -> EventDict:
     """Limit every text and escape what could forge lines or control a terminal."""
     for name, value in event.items():
         if isinstance(value, str):
-            event[name] = _escape(value)
+            text = value
+            if len(text) > TEXT_LENGTH_MAX:
+                more = len(text) - TEXT_LENGTH_MAX
+                text = f"{text[:TEXT_LENGTH_MAX]}... ({more} characters more)"
+            if text.isprintable():
+                event[name] = text
+            else:
+                event[name] = "".join(
+                    c if c.isprintable() else c.encode("unicode_escape").decode()
+                    for c in text
+                )
     return event
-
-
-def _escape(text: str) -> str:
-    if len(text) > TEXT_LENGTH_MAX:
-        text = f"{text[:TEXT_LENGTH_MAX]}... ({len(text) - TEXT_LENGTH_MAX} characters more)"
-    if text.isprintable():
-        return text
-    return "".join(
-        c if c.isprintable() else c.encode("unicode_escape").decode() for c in text
-    )

@@ -150,9 +150,14 @@ class _HilCollector(Collector):
             if metric.kind is MetricKind.COUNTER:
                 family.add_metric(labels, int(total.counts[0]))
             else:
-                family.add_metric(
-                    labels, _buckets(metric, total.counts), total.sum_ns / 1e9
-                )
+                # Upper bound [s] as text and cumulated count of each exported bucket.
+                cumulated = np.cumsum(total.counts).tolist()
+                exported = [
+                    (_BOUNDS_TEXT[index], cumulated[index])
+                    for index in metric.bound_indices
+                ]
+                buckets = [*exported, ("+Inf", cumulated[-1])]
+                family.add_metric(labels, buckets, total.sum_ns / 1e9)
         return cast("Family", family)
 
 
@@ -161,12 +166,3 @@ def _is_known(row: Row) -> bool:
     return isinstance(value, MetricReading) or (
         value is not None and math.isfinite(value)
     )
-
-
-def _buckets(metric: Metric[Any], counts: Counts) -> list[tuple[str, float]]:
-    """Return (upper bound [s] as text, cumulated count) of the exported buckets and ``+Inf``."""
-    cumulated = np.cumsum(counts).tolist()
-    exported = [
-        (_BOUNDS_TEXT[index], cumulated[index]) for index in metric.bound_indices
-    ]
-    return [*exported, ("+Inf", cumulated[-1])]

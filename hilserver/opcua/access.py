@@ -53,7 +53,8 @@ class Access:
     def __init__(self, settings: OpcUaSettings) -> None:
         self._anonymous = settings.anonymous_role
         self._users = {user.name: user for user in settings.users}
-        self._write, self._call = settings.permissions.write, settings.permissions.call
+        self._write = settings.permissions.write
+        self._call = settings.permissions.call
         self._attempts = FailedAttempts(settings.max_failed_logins, WINDOW_S)
         self._turn = asyncio.Lock()
         self._waiting = 0

@@ -74,7 +74,9 @@ class Application:
     """
 
     def __init__(self, server: Any, access: Access) -> None:
-        self._server, self._space, self._access = server, server.aspace, access
+        self._server = server
+        self._space = server.aspace
+        self._access = access
 
     def visitor(self, session_name: str, address: str) -> Visitor:  # noqa: ARG002 - for others
         """Return the visitor for a client that gives its session this name."""

@@ -5,7 +5,7 @@ A long answer ends in a continuation point, from which BrowseNext continues.
 
 import secrets
 from collections import OrderedDict
-from collections.abc import Generator, Iterable
+from collections.abc import Iterable
 from typing import Any
 
 from asyncua import ua
@@ -41,7 +41,8 @@ class TypeTree:
         return found
 
     def _walk(self, type_id: ua.NodeId) -> frozenset[ua.NodeId]:
-        found, rest = {type_id}, [type_id]
+        found = {type_id}
+        rest = [type_id]
         while rest:
             node = self._address_space.get(rest.pop())
             for reference in node.references if node is not None else ():
@@ -80,7 +81,8 @@ class ContinuationPoints:
     """The continuation points of one session."""
 
     def __init__(self, address_space: Any, types: TypeTree) -> None:
-        self._address_space, self._types = address_space, types
+        self._address_space = address_space
+        self._types = types
         self._points: OrderedDict[bytes, tuple[list[Any], int]] = OrderedDict()
 
     def next_page(self, point: Any, room: int, is_release: bool) -> ua.BrowseResult:
@@ -119,7 +121,19 @@ class ContinuationPoints:
         for number, reference in enumerate(node.references):
             if number % _GIVE_WAY_EVERY == _GIVE_WAY_EVERY - 1:
                 yield
-            if _is_wanted(asked, types, reference):
+            direction = asked.BrowseDirection
+            is_wanted = (
+                (
+                    direction == ua.BrowseDirection.Both
+                    or reference.IsForward != bool(direction)
+                )
+                and (
+                    not asked.NodeClassMask
+                    or bool(asked.NodeClassMask & reference.NodeClass)
+                )
+                and (types is None or reference.ReferenceTypeId in types)
+            )
+            if is_wanted:
                 found.append(_masked(reference, asked.ResultMask))
         return self._page(found, min(most or MAX_REFERENCES, MAX_REFERENCES), room)
 
@@ -131,7 +145,8 @@ class ContinuationPoints:
         return bool(node_class == ua.NodeClass.ReferenceType)
 
     def _page(self, references: list[Any], size: int, room: int) -> ua.BrowseResult:
-        result, now = ua.BrowseResult(), min(size, room)
+        result = ua.BrowseResult()
+        now = min(size, room)
         if len(references) > now:
             if len(self._points) >= MAX_POINTS:
                 raise ServiceError(_Codes.BadNoContinuationPoints)
@@ -156,43 +171,31 @@ def translate(address_space: Any, types: TypeTree, path: ua.BrowsePath) -> Porti
     for element in elements:
         found: dict[ua.NodeId, None] = {}
         for node_id in current:
-            yield from _step(address_space, types, node_id, element, found)
+            node = address_space.get(node_id)
+            kind = element.ReferenceTypeId
+            wanted: Types = None
+            if not kind.is_null():
+                wanted = (
+                    types.closure(kind)
+                    if element.IncludeSubtypes
+                    else frozenset((kind,))
+                )
+            for number, reference in enumerate(
+                node.references if node is not None else ()
+            ):
+                if number % _GIVE_WAY_EVERY == 0:
+                    yield
+                if (
+                    reference.IsForward != element.IsInverse
+                    and reference.BrowseName == element.TargetName
+                    and (wanted is None or reference.ReferenceTypeId in wanted)
+                ):
+                    found[reference.NodeId] = None
         current = found
         if not found or len(found) > MAX_TARGETS:
             raise ServiceError(_Codes.BadTooManyMatches if found else _Codes.BadNoMatch)
     targets = [ua.BrowsePathTarget(node_id, _TO_THE_END) for node_id in current]
     return ua.BrowsePathResult(Targets=targets)
-
-
-def _step(
-    address_space: Any,
-    types: TypeTree,
-    node_id: Any,
-    element: Any,
-    found: dict[ua.NodeId, None],
-) -> Generator[None, None, None]:
-    node, kind = address_space.get(node_id), element.ReferenceTypeId
-    wanted: Types = None
-    if not kind.is_null():
-        wanted = types.closure(kind) if element.IncludeSubtypes else frozenset((kind,))
-    for number, reference in enumerate(node.references if node is not None else ()):
-        if number % _GIVE_WAY_EVERY == 0:
-            yield
-        if (
-            reference.IsForward != element.IsInverse
-            and reference.BrowseName == element.TargetName
-            and (wanted is None or reference.ReferenceTypeId in wanted)
-        ):
-            found[reference.NodeId] = None
-
-
-def _is_wanted(asked: ua.BrowseDescription, types: Types, reference: Any) -> bool:
-    direction = asked.BrowseDirection
-    return (
-        (direction == ua.BrowseDirection.Both or reference.IsForward != bool(direction))
-        and (not asked.NodeClassMask or bool(asked.NodeClassMask & reference.NodeClass))
-        and (types is None or reference.ReferenceTypeId in types)
-    )
 
 
 def _masked(reference: ua.ReferenceDescription, mask: int) -> ua.ReferenceDescription:

@@ -116,7 +116,8 @@ def first_of_chain(data: bytes) -> bytes:
     """Return the first DER certificate of several written one after the other."""
     if len(data) < 4 or data[0] != 0x30:
         raise ValueError("not a DER certificate")
-    length, head = data[1], 2
+    length = data[1]
+    head = 2
     if length & 0x80:
         head += length & 0x7F
         length = int.from_bytes(data[2:head], "big")

@@ -227,7 +227,8 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
             and chunk.MessageHeader.ChannelId != self.security_token.ChannelId
         ):
             raise TransportError(_Codes.BadSecureChannelIdInvalid, "another channel")
-        number, last = chunk.SequenceHeader.SequenceNumber, self._peer_sequence_number
+        number = chunk.SequenceHeader.SequenceNumber
+        last = self._peer_sequence_number
         expected = number if last is None else last + 1
         if number != expected and not (
             number < _WRAP and expected > _MAX_SEQUENCE - _WRAP

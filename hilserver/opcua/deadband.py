@@ -59,7 +59,8 @@ class ChangeFilter:
 def _pairs(old: Any, new: Any) -> list[tuple[float, float]] | None:
     """Return the numbers to compare, None if the two have no difference."""
     if not isinstance(old, list):
-        old, new = [old], [new]
+        old = [old]
+        new = [new]
     if not isinstance(new, list) or len(old) != len(new):
         return None
     if not all(isinstance(number, int | float) for number in (*old, *new)):

@@ -106,23 +106,22 @@ class FixedDataValue(ua.DataValue):  # type: ignore[misc]
         """
         found = self._encoded.get(stamps)
         if found is None:
-            found = self._encoded[stamps] = self._encode(_MASKS[stamps])
+            mask = _MASKS[stamps]
+            content = self.content
+            mask |= _HAS_STATUS
+            if len(content) > _U32.size:
+                mask |= _HAS_VALUE
+            dates = b""
+            for bit, stamp in (
+                (_HAS_SOURCE, self.SourceTimestamp),
+                (_HAS_SERVER, self.ServerTimestamp),
+            ):
+                if stamp is None:
+                    mask &= ~bit
+                elif mask & bit:
+                    dates += _date(stamp)
+            found = self._encoded[stamps] = bytes((mask,)) + content + dates
         return found
-
-    def _encode(self, mask: int) -> bytes:
-        content, mask = self.content, mask | _HAS_STATUS
-        if len(content) > _U32.size:
-            mask |= _HAS_VALUE
-        stamps = b""
-        for bit, stamp in (
-            (_HAS_SOURCE, self.SourceTimestamp),
-            (_HAS_SERVER, self.ServerTimestamp),
-        ):
-            if stamp is None:
-                mask &= ~bit
-            elif mask & bit:
-                stamps += _date(stamp)
-        return bytes((mask,)) + content + stamps
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "FixedDataValue":
         return self

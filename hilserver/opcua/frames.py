@@ -59,31 +59,27 @@ class FrameReader:
         if self.since_s is None and self._buffer:
             self.since_s = now_s
         while len(self._buffer) >= _HEADER.size:
-            kind, size = self._judge_header()
+            kind, chunk, size = _HEADER.unpack_from(self._buffer)
+            if kind not in _MIN_BYTES or chunk not in (b"F", b"C", b"A"):
+                raise TransportError(
+                    _Codes.BadTcpMessageTypeInvalid, "not an OPC UA message"
+                )
+            if chunk != b"F" and kind != b"MSG":
+                raise TransportError(
+                    _Codes.BadTcpMessageTypeInvalid, "only messages have chunks"
+                )
+            if size > (MAX_HELLO_BYTES if kind == b"HEL" else MAX_CHUNK_BYTES):
+                raise TransportError(_Codes.BadTcpMessageTooLarge, "larger than agreed")
+            if size < _MIN_BYTES[kind]:
+                raise TransportError(
+                    _Codes.BadDecodingError, "too short for its message type"
+                )
             if len(self._buffer) < size:
                 return
             frame = bytes(self._buffer[:size])
             del self._buffer[:size]
             self.since_s = now_s if self._buffer else None
             yield kind, frame
-
-    def _judge_header(self) -> tuple[bytes, int]:
-        kind, chunk, size = _HEADER.unpack_from(self._buffer)
-        if kind not in _MIN_BYTES or chunk not in (b"F", b"C", b"A"):
-            raise TransportError(
-                _Codes.BadTcpMessageTypeInvalid, "not an OPC UA message"
-            )
-        if chunk != b"F" and kind != b"MSG":
-            raise TransportError(
-                _Codes.BadTcpMessageTypeInvalid, "only messages have chunks"
-            )
-        if size > (MAX_HELLO_BYTES if kind == b"HEL" else MAX_CHUNK_BYTES):
-            raise TransportError(_Codes.BadTcpMessageTooLarge, "larger than agreed")
-        if size < _MIN_BYTES[kind]:
-            raise TransportError(
-                _Codes.BadDecodingError, "too short for its message type"
-            )
-        return kind, size
 
 
 def check_order(stage: ConnectionStage, kind: bytes) -> None:

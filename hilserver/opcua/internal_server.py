@@ -35,7 +35,8 @@ class InnerServer(QuickInternalServer):
         bound_decoder()
         super().__init__(user_manager=None)
         self.disabled_clock = True  # asyncua's task, which nothing would begin again
-        self.settings, self.trust = settings, trust
+        self.settings = settings
+        self.trust = trust
         self.access = access = Access(settings)
         # may be replaced before the first client
         self.application = Application(self, access)

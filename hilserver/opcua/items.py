@@ -85,7 +85,13 @@ class ValueItem(_Item):
         if is_full and self.size > 1:
             # A lost value is marked next to the gap.
             end = 0 if self.discard_oldest else -1
-            queue[end] = _with_overflow(queue[end])
+            marked = queue[end]
+            queue[end] = FixedDataValue(
+                marked.Value,
+                ua.StatusCode(marked.code | _OVERFLOW),
+                marked.SourceTimestamp,
+                marked.ServerTimestamp,
+            )
         return True
 
     def forget(self) -> None:
@@ -150,12 +156,3 @@ class EventItem(_Item):
 
 
 Item = ValueItem | EventItem
-
-
-def _with_overflow(value: FixedDataValue) -> FixedDataValue:
-    return FixedDataValue(
-        value.Value,
-        ua.StatusCode(value.code | _OVERFLOW),
-        value.SourceTimestamp,
-        value.ServerTimestamp,
-    )

@@ -13,7 +13,6 @@ from asyncua.crypto.uacrypto import InvalidSignature
 from hilserver.opcua.access import identify
 from hilserver.opcua.certificate import application_uris, parse_certificate
 from hilserver.opcua.logs import log
-from hilserver.opcua.sessions import Session
 
 _MAX_CLIENT_TEXT = 4096
 _NONCE_BYTES = 32
@@ -99,7 +98,11 @@ async def activate_session(
     if is_moved:
         if user != session.user:
             raise ServiceError(_Codes.BadUserAccessDenied)
-        _move(session, processor)
+        # From another connection of the same, proven client.
+        if session.processor is not None and session.processor.session is session:
+            session.processor.session = None
+        session.bind(processor, processor.policy)
+        processor.session = session
     if not session.is_activated:
         iserver.admit(session, user)
     response = ua.ActivateSessionResponse()
@@ -107,17 +110,10 @@ async def activate_session(
     return response
 
 
-def _move(session: Session, processor: Any) -> None:
-    """Bind the session of another connection of the same, proven client."""
-    if session.processor is not None and session.processor.session is session:
-        session.processor.session = None
-    session.bind(processor, processor.policy)
-    processor.session = session
-
-
 def release_session(processor: Any) -> None:
     """Release the session of a lost connection; its subscriptions may outlive it."""
-    session, processor.session = processor.session, None
+    session = processor.session
+    processor.session = None
     if session is None or session.processor is not processor:
         return
     session.lose_connection()

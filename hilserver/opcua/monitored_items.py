@@ -41,7 +41,8 @@ class MonitoredItems:
         settings: OpcUaSettings,
         publishing_ms: Callable[[], float],
     ) -> None:
-        self._address_space, self._types = address_space, types
+        self._address_space = address_space
+        self._types = types
         self._publishing_ms = publishing_ms
         self._longest_queue = settings.max_queue_size
         self._shortest_ms = settings.min_publishing_ms
@@ -143,12 +144,14 @@ class MonitoredItems:
         self, request: ua.MonitoredItemModifyRequest, stamps: int, room: Room
     ) -> ua.MonitoredItemModifyResult:
         """Change an item."""
-        item, asked = self._known(request.MonitoredItemId), request.RequestedParameters
+        item = self._known(request.MonitoredItemId)
+        asked = request.RequestedParameters
         result = ua.MonitoredItemModifyResult()
         if isinstance(item, ValueItem):
             item.change = self._change_filter(item.read, asked.Filter)
             item.interval_s = self._revise_sampling(asked.SamplingInterval) / 1e3
-            item.due_s, item.stamps = 0.0, stamps
+            item.due_s = 0.0
+            item.stamps = stamps
             result.RevisedSamplingInterval = item.interval_s * 1e3
         else:
             wanted = check_event_filter(asked.Filter)
@@ -180,7 +183,8 @@ class MonitoredItems:
     def set_mode(self, item_id: int, mode: ua.MonitoringMode) -> None:
         """Switch an item on or off."""
         item = self._known(item_id)
-        was, item.mode = item.mode, mode
+        was = item.mode
+        item.mode = mode
         self.ready.pop(item_id, None)
         self._rearrange()
         if _Modes.Disabled in (was, mode):

@@ -25,7 +25,8 @@ def read(session: Session, params: encoding.ReadItems) -> Portions:
     if not params.max_age_ms >= 0:
         raise ServiceError(_Codes.BadMaxAgeInvalid)
     stamps = check_stamps(params.stamps)
-    reader, user = session.server.reader, session.user
+    reader = session.server.reader
+    user = session.user
     values: list[bytes] = []
     size = 0
     for item in items:
@@ -60,7 +61,25 @@ def call(session: Session, params: ua.CallParameters) -> Portions:
             result, texts[-1] = yield application.call(request, session)
             return result
         if request.MethodId == _GET_MONITORED_ITEMS and request.ObjectId == _SERVER:
-            return _monitored_items(session, request.InputArguments or [])
+            arguments = request.InputArguments or []
+            if len(arguments) != 1:
+                raise ServiceError(
+                    _Codes.BadTooManyArguments
+                    if arguments
+                    else _Codes.BadArgumentsMissing
+                )
+            if arguments[0].VariantType != ua.VariantType.UInt32:
+                wrong = status_codes([_Codes.BadTypeMismatch])
+                return refused(_Codes.BadInvalidArgument, results=wrong).result
+            handles = session.own(arguments[0].Value).items.handles()
+            kind = ua.VariantType.UInt32
+            columns = [
+                ua.Variant([pair[i] for pair in handles], kind, None, True)
+                for i in (0, 1)
+            ]
+            return ua.CallMethodResult(
+                StatusCode=ua.StatusCode(_Codes.Good), OutputArguments=columns
+            )
         is_known = request.MethodId in session.server.aspace
         raise ServiceError(
             _Codes.BadNotImplemented if is_known else _Codes.BadMethodInvalid
@@ -68,26 +87,6 @@ def call(session: Session, params: ua.CallParameters) -> Portions:
 
     return each(
         session, params.MethodsToCall, act, ua.CallResponse(), ua.CallMethodResult
-    )
-
-
-def _monitored_items(
-    session: Session, arguments: list[ua.Variant]
-) -> ua.CallMethodResult:
-    if len(arguments) != 1:
-        raise ServiceError(
-            _Codes.BadTooManyArguments if arguments else _Codes.BadArgumentsMissing
-        )
-    if arguments[0].VariantType != ua.VariantType.UInt32:
-        wrong = status_codes([_Codes.BadTypeMismatch])
-        return refused(_Codes.BadInvalidArgument, results=wrong).result
-    handles = session.own(arguments[0].Value).items.handles()
-    kind = ua.VariantType.UInt32
-    columns = [
-        ua.Variant([pair[i] for pair in handles], kind, None, True) for i in (0, 1)
-    ]
-    return ua.CallMethodResult(
-        StatusCode=ua.StatusCode(_Codes.Good), OutputArguments=columns
     )
 
 
@@ -99,7 +98,8 @@ def browse(session: Session, params: ua.BrowseParameters) -> Portions:
     limited(session, params.NodesToBrowse)
     if not params.View.ViewId.is_null():
         raise ServiceError(_Codes.BadViewIdUnknown)
-    most, room = params.RequestedMaxReferencesPerNode, MAX_REFERENCES_IN_ALL
+    most = params.RequestedMaxReferencesPerNode
+    room = MAX_REFERENCES_IN_ALL
 
     def page(asked: ua.BrowseDescription) -> Portions:
         nonlocal room

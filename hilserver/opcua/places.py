@@ -32,7 +32,8 @@ class SessionPlaces:
     """Decides which session may come in, and which one yields to it."""
 
     def __init__(self, most: int, has_reserve: Callable[[Any], bool]) -> None:
-        self._most, self._has_reserve = most, has_reserve
+        self._most = most
+        self._has_reserve = has_reserve
         self._reserve = most // 10
         self._share = max(1, most // 2)
 

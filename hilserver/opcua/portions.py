@@ -107,7 +107,9 @@ def _encode(message: Any, parts: list[bytes]) -> Portions:
         if get_origin(kind) is list and value:
             (element,) = get_args(kind)
             parts.append(len(value).to_bytes(_COUNT_BYTES, "little"))
-            if _has_list(element):
+            # Elements of these types may be long themselves.
+            has_list = element in (ua.BrowseResult, ua.BrowsePathResult)
+            if has_list:
                 for item in value:
                     yield from _encode(item, parts)
             else:
@@ -119,11 +121,6 @@ def _encode(message: Any, parts: list[bytes]) -> Portions:
             yield from _encode(value, parts)
         else:
             parts.append(to_binary(kind, value))
-
-
-def _has_list(kind: Any) -> bool:
-    """Whether elements of this type may be long themselves."""
-    return kind in (ua.BrowseResult, ua.BrowsePathResult)
 
 
 # --- common to the services -----------------------------------------------------------------------

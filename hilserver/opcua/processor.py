@@ -110,7 +110,31 @@ class Processor:
         try:
             return self._process_frame(kind, frame)
         except Exception as error:  # noqa: BLE001 - whatever it was, it is one connection's
-            self._fail(kind, error)
+            if isinstance(error, TransportError):
+                self.refuse(error.code, str(error))
+            elif isinstance(error, InvalidSignature):
+                self.refuse(
+                    _Codes.BadSecurityChecksFailed, "the signature or key is wrong"
+                )
+            elif isinstance(error, ServiceError | ua.uaerrors.UaStatusCodeError):
+                self.refuse(error.code, "refused")
+            elif isinstance(error, _UNDECODABLE):
+                self.refuse(_Codes.BadDecodingError, "cannot be decoded")
+            else:
+                secure = (
+                    self._connection.security_policy.Mode != _None or kind == b"OPN"
+                )
+                code = (
+                    _Codes.BadSecurityChecksFailed
+                    if secure
+                    else _Codes.BadDecodingError
+                )
+                log.warning(
+                    "opcua message refused",
+                    address=self.address,
+                    error=repr(error)[:200],
+                )
+                self.refuse(code, "cannot be processed")
             return False
 
     def _process_frame(self, kind: bytes, frame: bytes) -> bool | Portions:
@@ -125,7 +149,12 @@ class Processor:
         buffer = Buffer(frame)
         header = header_from_binary(buffer)
         if kind == b"HEL":
-            self._greet(struct_from_binary(ua.Hello, buffer))
+            hello = struct_from_binary(ua.Hello, buffer)
+            answer = self._connection.greet(
+                hello, self.iserver.settings.max_message_bytes
+            )
+            self._is_greeted = True
+            self._transport.write(uatcp_to_binary(_Type.Acknowledge, answer))
             return True
         message = connection.receive_from_header_and_body(header, buffer)
         if message is None:
@@ -133,34 +162,13 @@ class Processor:
         if kind == b"CLO":
             connection.close()
             return False
-        request_id, body = message.SequenceHeader().RequestId, message.body()
+        request_id = message.SequenceHeader().RequestId
+        body = message.body()
         if kind == b"OPN":
             connection.check_asymmetric(message.SecurityHeader(), header.ChannelId)
             self._open_channel(message.SecurityHeader(), request_id, body)
             return True
         return self._process_message(request_id, body)
-
-    def _fail(self, kind: bytes, error: Exception) -> None:
-        if isinstance(error, TransportError):
-            self.refuse(error.code, str(error))
-        elif isinstance(error, InvalidSignature):
-            self.refuse(_Codes.BadSecurityChecksFailed, "the signature or key is wrong")
-        elif isinstance(error, ServiceError | ua.uaerrors.UaStatusCodeError):
-            self.refuse(error.code, "refused")
-        elif isinstance(error, _UNDECODABLE):
-            self.refuse(_Codes.BadDecodingError, "cannot be decoded")
-        else:
-            secure = self._connection.security_policy.Mode != _None or kind == b"OPN"
-            code = _Codes.BadSecurityChecksFailed if secure else _Codes.BadDecodingError
-            log.warning(
-                "opcua message refused", address=self.address, error=repr(error)[:200]
-            )
-            self.refuse(code, "cannot be processed")
-
-    def _greet(self, hello: ua.Hello) -> None:
-        answer = self._connection.greet(hello, self.iserver.settings.max_message_bytes)
-        self._is_greeted = True
-        self._transport.write(uatcp_to_binary(_Type.Acknowledge, answer))
 
     def _open_channel(self, security: Any, request_id: int, body: Buffer) -> None:
         if nodeid_from_binary(body) != _OPEN:
@@ -229,7 +237,8 @@ class Processor:
     def _process_message(self, request_id: int, body: Buffer) -> bool | Portions:
         """Answer one message, or start to; raise if not even its header can be read."""
         service = encoding.service_id(body)
-        session, token = self.session, None
+        session = self.session
+        token = None
         head = (
             None
             if session is None

@@ -103,7 +103,8 @@ class RangePlace(AttributeValue):  # type: ignore[misc]
     """A part of the value at another place."""
 
     def __init__(self, whole: Any, part: slice) -> None:
-        self._whole, self._part = whole, part
+        self._whole = whole
+        self._part = part
         self._cut_of: Any = None
         self._cut: FixedDataValue
         super().__init__(None)
@@ -154,7 +155,18 @@ class Reader:
     def read(self, item: Any, user: Any) -> FixedDataValue:
         """Return one attribute; if that is not possible, a value with a bad status."""
         try:
-            return self._read(item, user)
+            node_id, attribute = item.node_id, item.attribute
+            place = find(self._server.aspace, node_id, attribute)
+            value = value_at(place, node_id, attribute)
+            if item.data_encoding.Name:
+                check_encoding(item.data_encoding, attribute, value)
+            if attribute in _BY_USER:
+                value = self._by_user(node_id, attribute, value, user)
+            if item.index_range:
+                part = parse_range(item.index_range)
+                assert part is not None
+                value = cut(value, part)
+            return completed(value, attribute, self._born)
         except ServiceError as error:
             return self.refused(error.code)
 
@@ -163,26 +175,13 @@ class Reader:
         """Return a value whose status is the reason why there is none."""
         return FixedDataValue(None, ua.StatusCode(code), None, datetime.now(UTC))
 
-    def _read(self, item: Any, user: Any) -> FixedDataValue:
-        node_id, attribute = item.node_id, item.attribute
-        place = find(self._server.aspace, node_id, attribute)
-        value = value_at(place, node_id, attribute)
-        if item.data_encoding.Name:
-            check_encoding(item.data_encoding, attribute, value)
-        if attribute in _BY_USER:
-            value = self._by_user(node_id, attribute, value, user)
-        if item.index_range:
-            part = parse_range(item.index_range)
-            assert part is not None
-            value = cut(value, part)
-        return completed(value, attribute, self._born)
-
     def _by_user(
         self, node_id: ua.NodeId, attribute: int, value: ua.DataValue, user: Any
     ) -> ua.DataValue:
         if not node_id.NamespaceIndex or value.Value is None or not value.Value.Value:
             return value
-        kept, application = value.Value.Value, self._server.application
+        kept = value.Value.Value
+        application = self._server.application
         if attribute == _Attributes.UserExecutable:
             kept = kept and application.may_call(user, node_id)
         elif not application.may_write(user, node_id):

@@ -77,7 +77,18 @@ class HardenedServer(Server):  # type: ignore[misc]
             [_POLICY_TYPES[name] for name in settings.offered_policies]
         )
         if trust is not None:
-            self._load_certificate(trust)
+            trust.make_folders()
+            certificate, private_key = own_certificate(self.settings, self._folder)
+            left = certificate.not_valid_after_utc - datetime.now(UTC)
+            if left < _WARN_BEFORE:
+                log.warning(
+                    "opcua certificate ends",
+                    days_left=left.days,
+                    remedy="run 'hilserver certs renew'",
+                )
+            self.iserver.certificate = certificate
+            self.iserver.private_key = private_key
+            trust.ours = certificate
 
     @property
     def application(self) -> Application:
@@ -107,7 +118,14 @@ class HardenedServer(Server):  # type: ignore[misc]
 
     async def start(self) -> None:
         """Listen; FailedError if the address is not available."""
-        self._offer()
+        for policy_type in self._security_policy:
+            policy, mode, level = SECURITY_POLICY_TYPE_MAP[policy_type]
+            certificate = key = None
+            if policy is not SecurityPolicyNone:
+                certificate = self.iserver.certificate
+                key = self.iserver.private_key
+            self._set_endpoints(policy, mode, level)
+            self._policies.append(SecurityPolicyFactory(policy, mode, certificate, key))
         host, port = self._get_bind_socket_info()
         self.bserver = Listener(self.iserver, host, port)
         self.bserver.set_policies(self._policies)
@@ -127,28 +145,6 @@ class HardenedServer(Server):  # type: ignore[misc]
         Otherwise they sample when they publish, and of several changes only the last is seen.
         """
         self.iserver.subscription_service.after_frame()
-
-    def _offer(self) -> None:
-        for policy_type in self._security_policy:
-            policy, mode, level = SECURITY_POLICY_TYPE_MAP[policy_type]
-            certificate = key = None
-            if policy is not SecurityPolicyNone:
-                certificate, key = self.iserver.certificate, self.iserver.private_key
-            self._set_endpoints(policy, mode, level)
-            self._policies.append(SecurityPolicyFactory(policy, mode, certificate, key))
-
-    def _load_certificate(self, trust: TrustList) -> None:
-        trust.make_folders()
-        certificate, private_key = own_certificate(self.settings, self._folder)
-        left = certificate.not_valid_after_utc - datetime.now(UTC)
-        if left < _WARN_BEFORE:
-            log.warning(
-                "opcua certificate ends",
-                days_left=left.days,
-                remedy="run 'hilserver certs renew'",
-            )
-        self.iserver.certificate, self.iserver.private_key = certificate, private_key
-        trust.ours = certificate
 
 
 class _LiveTime(AttributeValue):  # type: ignore[misc]

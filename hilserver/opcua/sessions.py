@@ -48,7 +48,8 @@ class Session:
         self.server = server
         self.user: Any = User(role=UserRole.User)
         # whether a user has logged in, and whether it has not ended
-        self.is_activated, self.is_open = False, True
+        self.is_activated = False
+        self.is_open = True
         self.session_id = ua.NodeId(next(_numbers))
         self.auth_token = ua.NodeId(
             secrets.token_bytes(_TOKEN_BYTES), 0, ua.NodeIdType.ByteString
@@ -59,7 +60,8 @@ class Session:
         self.texts: list[str] = []
         self.processor: Any = None  # the connection that the session is bound to
         # the client that created it, as the application classifies it, and its address
-        self.visitor, self.address = visitor, processor.address
+        self.visitor = visitor
+        self.address = processor.address
         self.timeout_s = math.inf  # idle time after which it ends
         self.max_response_bytes = 0  # longest response that the client accepts, 0: any
         self.last_active_s = time.monotonic()
@@ -78,7 +80,8 @@ class Session:
         """
         self.processor = processor
         self._requests.clear()
-        self._certificate, self._policy_uri = policy.peer_certificate, policy.URI
+        self._certificate = policy.peer_certificate
+        self._policy_uri = policy.URI
 
     def lose_connection(self) -> None:
         """Continue without a connection: another may take over the session, but not its control."""
@@ -120,10 +123,8 @@ class Session:
     def create(self, params: ua.CreateSessionParameters) -> ua.CreateSessionResult:
         """Agree on time-out and sizes."""
         asked_ms = params.RequestedSessionTimeout
-        shortest, longest = (
-            self.server.min_session_timeout_ms,
-            self.server.max_session_timeout_ms,
-        )
+        shortest = self.server.min_session_timeout_ms
+        longest = self.server.max_session_timeout_ms
         # A time-out of NaN would never expire.
         revised_ms = (
             min(max(asked_ms, shortest), longest)
@@ -142,7 +143,8 @@ class Session:
 
     def activate(self, user: Any) -> ua.ActivateSessionResult:
         """Admit a user whose identity has been checked."""
-        self.user, self.is_activated = user, True
+        self.user = user
+        self.is_activated = True
         self.nonce = create_nonce(32)
         self.touch()
         return ua.ActivateSessionResult(ServerNonce=self.nonce)
@@ -168,7 +170,8 @@ class Session:
         if delete_subscriptions:
             for subscription in self.subscriptions:
                 self.server.subscription_service.remove(subscription)
-        processor, self.processor = self.processor, None
+        processor = self.processor
+        self.processor = None
         if processor is not None and processor.session is self:
             processor.session = None
 

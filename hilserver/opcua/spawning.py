@@ -32,7 +32,9 @@ class _Plain:
     """A task of asyncio; an end that nobody asked for is logged."""
 
     def __init__(self, make: Make, name: str, *, lasting: bool) -> None:
-        self._make, self._name, self._lasting = make, name, lasting
+        self._make = make
+        self._name = name
+        self._lasting = lasting
         self._is_cancelled = False
         self._begin()
 

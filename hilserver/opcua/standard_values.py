@@ -27,20 +27,6 @@ _OPERATION_LIMITS = (
 
 def fill(address_space: Any, settings: OpcUaSettings) -> None:
     """Give every standard variable below Objects a value."""
-    known = _known(settings)
-    for node_id, node in _variables(address_space):
-        place = node.attributes[_Attributes.Value]
-        if node_id.Identifier in known:
-            _put(place, *_type_of(address_space, node), known[node_id.Identifier])
-        elif (
-            place.value is None
-            or place.value.Value is None
-            or place.value.Value.Value is None
-        ):
-            _put(place, *_type_of(address_space, node), None)
-
-
-def _known(settings: OpcUaSettings) -> dict[int, Any]:
     engineer = settings.limits.engineer
     values = {
         "LocaleIdArray": ["en"],
@@ -58,15 +44,26 @@ def _known(settings: OpcUaSettings) -> dict[int, Any]:
     }
     for service in _OPERATION_LIMITS:
         values[f"OperationLimits_MaxNodesPer{service}"] = settings.max_operations
-    return {
+    known = {
         getattr(_Ids, f"Server_ServerCapabilities_{name}"): value
         for name, value in values.items()
     }
+    for node_id, node in _variables(address_space):
+        place = node.attributes[_Attributes.Value]
+        if node_id.Identifier in known:
+            _put(place, *_type_of(address_space, node), known[node_id.Identifier])
+        elif (
+            place.value is None
+            or place.value.Value is None
+            or place.value.Value.Value is None
+        ):
+            _put(place, *_type_of(address_space, node), None)
 
 
 def _variables(address_space: Any) -> Iterator[tuple[ua.NodeId, Any]]:
     """Yield the standard variables below Objects, which are instances, not types."""
-    seen, rest = {_OBJECTS}, [_OBJECTS]
+    seen = {_OBJECTS}
+    rest = [_OBJECTS]
     below = {
         _Ids.Organizes,
         _Ids.HasProperty,

@@ -143,7 +143,8 @@ def set_monitoring_mode(
     session: Session, params: ua.SetMonitoringModeParameters
 ) -> Portions:
     """Answer SetMonitoringMode."""
-    items, mode = session.own(params.SubscriptionId).items, params.MonitoringMode
+    items = session.own(params.SubscriptionId).items
+    mode = params.MonitoringMode
     if not isinstance(mode, ua.MonitoringMode):
         raise ServiceError(_Codes.BadMonitoringModeInvalid)
 
@@ -160,7 +161,8 @@ def set_triggering(
 ) -> ua.SetTriggeringResponse:
     """Answer SetTriggering."""
     items = session.own(params.SubscriptionId).items
-    add, remove = list(params.LinksToAdd or ()), list(params.LinksToRemove or ())
+    add = list(params.LinksToAdd or ())
+    remove = list(params.LinksToRemove or ())
     limited(session, add + remove)
     added, removed = items.trigger(params.TriggeringItemId, add, remove)
     response = ua.SetTriggeringResponse()

@@ -39,7 +39,9 @@ class Subscription:
 
     def __init__(self, service: "Subscriptions", number: int, session: Any) -> None:
         # its creator is the owner, who may take it over in another session
-        self.number, self.session, self.owner = number, session, session.owner
+        self.number = number
+        self.session = session
+        self.owner = session.owner
         self.revised = ua.CreateSubscriptionResult(SubscriptionId=number)
         self.is_enabled = True
         self.max_notifications = MAX_NOTIFICATIONS
@@ -113,7 +115,8 @@ class Subscription:
 
     def serve(self, session: Any) -> None:
         """Move to another session."""
-        self.session, self._unserved_cycles = session, 0
+        self.session = session
+        self._unserved_cycles = 0
         if self._is_owed:
             self._service.rotation.add(self)
 
@@ -186,7 +189,15 @@ class Subscription:
         self._is_owed = is_more = self._has_news()
         message = encoding.notification_message(self._sequence, data)
         if data:
-            self._retain(message)
+            self.retained[self._sequence] = message
+            self._retained_bytes += len(message)
+            self._sequence = self._sequence % _MAX_SEQUENCE + 1
+            while len(self.retained) > 1 and (
+                len(self.retained) > _MAX_RETAINED
+                or self._retained_bytes > _MAX_RETAINED_BYTES
+            ):
+                _, oldest = self.retained.popitem(last=False)
+                self._retained_bytes -= len(oldest)
         self.session.answer_publish(
             request, self.number, list(self.retained), is_more, message
         )
@@ -200,7 +211,8 @@ class Subscription:
             encoding.DATA_CHANGE: [],
             encoding.EVENTS: [],
         }
-        count, ready = 0, self.items.ready
+        count = 0
+        ready = self.items.ready
         for number, item in tuple(ready.items()):
             own = parts[item.kind]
             while item.queue and count < self.max_notifications and room > 0:
@@ -213,17 +225,6 @@ class Subscription:
         return [
             encoding.notification_list(kind, own) for kind, own in parts.items() if own
         ]
-
-    def _retain(self, message: bytes) -> None:
-        self.retained[self._sequence] = message
-        self._retained_bytes += len(message)
-        self._sequence = self._sequence % _MAX_SEQUENCE + 1
-        while len(self.retained) > 1 and (
-            len(self.retained) > _MAX_RETAINED
-            or self._retained_bytes > _MAX_RETAINED_BYTES
-        ):
-            _, oldest = self.retained.popitem(last=False)
-            self._retained_bytes -= len(oldest)
 
 
 def _bounded(asked: int, most: int) -> int:
@@ -241,7 +242,9 @@ class Subscriptions:
     def __init__(
         self, address_space: Any, types: TypeTree, settings: OpcUaSettings
     ) -> None:
-        self.address_space, self.types, self.settings = address_space, types, settings
+        self.address_space = address_space
+        self.types = types
+        self.settings = settings
         self.rotation = Rotation()
         self.subscriptions: dict[int, Subscription] = {}
         self._number = 77
@@ -298,7 +301,8 @@ class Subscriptions:
 
     def room(self, session: Any) -> Room:
         """Return what a session may still monitor; orphans yield if nothing is left."""
-        share, own = self._share(session), self.of(session)
+        share = self._share(session)
+        own = self.of(session)
         room = Room(
             share.monitored_items - sum(len(s.items) for s in own),
             share.queued_values - sum(s.items.queued_values for s in own),

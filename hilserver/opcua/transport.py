@@ -170,7 +170,14 @@ class Connection(asyncio.Protocol):
         if not goes_on:
             self.transport.close()
             return
-        self._note_progress()
+        now_s = time.monotonic()
+        if self.processor.stage is not self._stage:
+            self._stage = self.processor.stage
+            self._stage_since_s = now_s
+        if not self.processor.has_parts:
+            self._parts_since_s = 0.0
+        elif not self._parts_since_s:
+            self._parts_since_s = now_s
         if not self._is_reading and self._queued_bytes <= _MAX_QUEUED_BYTES // 2:
             self._is_reading = True
             self.transport.resume_reading()
@@ -181,19 +188,11 @@ class Connection(asyncio.Protocol):
 
     def resume_writing(self) -> None:
         """Continue: the client has read its answers."""
-        self.processor.is_congested, self._unread_since_s = False, 0.0
+        self.processor.is_congested = False
+        self._unread_since_s = 0.0
         if self.processor.session is not None:
             self.processor.session.resume()
         self._ask_for_turns()
-
-    def _note_progress(self) -> None:
-        now_s = time.monotonic()
-        if self.processor.stage is not self._stage:
-            self._stage, self._stage_since_s = self.processor.stage, now_s
-        if not self.processor.has_parts:
-            self._parts_since_s = 0.0
-        elif not self._parts_since_s:
-            self._parts_since_s = now_s
 
     @property
     def is_active(self) -> bool:
@@ -275,7 +274,8 @@ class Listener(BinaryServer):  # type: ignore[misc]
         One address gets half of the places, this computer's own all of them. The oldest connection
         without a session, of the address with the most, makes room.
         """
-        most, clients = self.iserver.max_connections, self.clients
+        most = self.iserver.max_connections
+        clients = self.clients
         if not is_loopback(address):
             own = [client for client in clients if client.address == address]
             if len(own) >= max(1, most // 2):

@@ -97,8 +97,11 @@ class _Folder:
         return self
 
     def _read(self, stamp: dict[Path, tuple[int, ...]]) -> None:
-        before, self.unread, self.stamp = self.unread, {}, {**stamp}
-        self.certificates, self.lists = {}, []
+        before = self.unread
+        self.unread = {}
+        self.stamp = {**stamp}
+        self.certificates = {}
+        self.lists = []
         for path in stamp:
             try:
                 self._take(path)
@@ -119,7 +122,13 @@ class _Folder:
         try:
             certificate = parse_certificate(data)
         except ValueError:
-            self.lists.append(_parse_list(data))
+            is_text = data[:1000].lstrip().startswith(b"-----BEGIN")
+            parsed = (
+                x509.load_pem_x509_crl(data)
+                if is_text
+                else x509.load_der_x509_crl(data)
+            )
+            self.lists.append(parsed)
         else:
             self.certificates[thumbprint(certificate)] = certificate
 
@@ -137,11 +146,6 @@ def files_in(folder: Path) -> Iterator[Path]:
     """Return the certificate files of a folder, sorted by name."""
     if folder.is_dir():
         yield from sorted(p for p in folder.iterdir() if p.suffix.lower() in _SUFFIXES)
-
-
-def _parse_list(data: bytes) -> x509.CertificateRevocationList:
-    is_text = data[:1000].lstrip().startswith(b"-----BEGIN")
-    return x509.load_pem_x509_crl(data) if is_text else x509.load_der_x509_crl(data)
 
 
 class TrustList:
@@ -189,7 +193,8 @@ class TrustList:
         except (ValueError, TypeError):
             return CertificateVerdict.INVALID
         now = now or datetime.now(UTC)
-        trusted, revoked = self._trusted.refresh(), self._revoked.refresh()
+        trusted = self._trusted.refresh()
+        revoked = self._revoked.refresh()
         if thumbprint(certificate) in revoked.certificates:
             return CertificateVerdict.REVOKED
         known = trusted.certificates if only is None else {thumbprint(only): only}

@@ -59,12 +59,14 @@ def compile_where(clause: ua.ContentFilter, types: TypeTree) -> Evaluate:
 
 class _Compiler:
     def __init__(self, elements: list[Any], types: TypeTree) -> None:
-        self._elements, self._types = elements, types
+        self._elements = elements
+        self._types = types
         self._named = {0}
 
     def element(self, index: int, depth: int) -> Evaluate:
         element = self._elements[index]
-        kind, operands = element.FilterOperator, element.FilterOperands or []
+        kind = element.FilterOperator
+        operands = element.FilterOperands or []
         least = _LEAST_OPERANDS.get(kind)
         if least is None:
             raise ServiceError(_Codes.BadFilterOperatorUnsupported)
@@ -72,7 +74,27 @@ class _Compiler:
             raise ServiceError(_Codes.BadFilterOperandCountMismatch)
         if depth > MAX_DEPTH:
             raise ServiceError(_Codes.BadEventFilterInvalid)
-        return self._operation(kind, [self._operand(o, index, depth) for o in operands])
+        values = [self._operand(o, index, depth) for o in operands]
+        first = values[0]
+        second = values[-1]
+        if kind in _COMPARED:
+            compare = _COMPARED[kind]
+            return lambda event: compare(first(event), values[1](event))
+        if kind == _Op.IsNull:
+            return lambda event: first(event) is None
+        if kind == _Op.Not:
+            return lambda event: not first(event)
+        if kind == _Op.And:
+            return lambda event: first(event) and values[1](event)
+        if kind == _Op.Or:
+            return lambda event: first(event) or values[1](event)
+        if kind == _Op.Between:
+            return lambda event: values[1](event) <= first(event) <= values[2](event)
+        if kind == _Op.InList:
+            return lambda event: first(event) in [value(event) for value in values[1:]]
+        return lambda event: (
+            event.field("EventType") in self._types.closure(second(event))
+        )
 
     def _operand(self, operand: Any, index: int, depth: int) -> Evaluate:
         if isinstance(operand, ua.ElementOperand):
@@ -95,24 +117,3 @@ class _Compiler:
             raise ServiceError(_Codes.BadFilterOperandInvalid)
         name = "/".join(part.Name or "" for part in names)
         return lambda event: event.field(name)
-
-    def _operation(self, kind: Any, values: list[Evaluate]) -> Evaluate:
-        first, second = values[0], values[-1]
-        if kind in _COMPARED:
-            compare = _COMPARED[kind]
-            return lambda event: compare(first(event), values[1](event))
-        if kind == _Op.IsNull:
-            return lambda event: first(event) is None
-        if kind == _Op.Not:
-            return lambda event: not first(event)
-        if kind == _Op.And:
-            return lambda event: first(event) and values[1](event)
-        if kind == _Op.Or:
-            return lambda event: first(event) or values[1](event)
-        if kind == _Op.Between:
-            return lambda event: values[1](event) <= first(event) <= values[2](event)
-        if kind == _Op.InList:
-            return lambda event: first(event) in [value(event) for value in values[1:]]
-        return lambda event: (
-            event.field("EventType") in self._types.closure(second(event))
-        )

@@ -42,7 +42,8 @@ def end_event() -> asyncio.Event:
 
     Call it once an orderly stop is possible; until then a signal ends the program at once.
     """
-    asked, loop = asyncio.Event(), asyncio.get_running_loop()
+    asked = asyncio.Event()
+    loop = asyncio.get_running_loop()
     for number in ENDING:
         loop.add_signal_handler(number, asked.set)
     if end_was_asked():
@@ -53,7 +54,8 @@ def end_event() -> asyncio.Event:
 @contextlib.contextmanager
 def hang_ups() -> Iterator[asyncio.Event]:
     """Give an event that SIGHUP sets while the context lasts."""
-    asked, loop = asyncio.Event(), asyncio.get_running_loop()
+    asked = asyncio.Event()
+    loop = asyncio.get_running_loop()
     before = signal.getsignal(signal.SIGHUP)
     loop.add_signal_handler(signal.SIGHUP, asked.set)
     if hang_up_waits():

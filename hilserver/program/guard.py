@@ -49,7 +49,8 @@ class Guard:
         self._signals = signals
         self.say: Callable[[str], object] = lambda _: None  # must not block
         # whether a signal has come; exit code of a forced end, unless the program is blocked
-        self.is_asked, self.code = False, EXIT_DONE
+        self.is_asked = False
+        self.code = EXIT_DONE
         self._stop: Callable[[], object] | None = None
         self._if_blocked: Callable[[], object] = lambda: None
         self._is_over = self._is_answered = self._is_leaving = False
@@ -63,7 +64,8 @@ class Guard:
 
         `if_blocked` is called before the end if `answer` was not.
         """
-        self._stop, self._if_blocked = stop, if_blocked
+        self._stop = stop
+        self._if_blocked = if_blocked
 
     def answer(self) -> None:
         """Acknowledge the signal: the program is about to end."""
@@ -101,7 +103,16 @@ class Guard:
 
     def _leave(self, code: int, why: str) -> NoReturn:
         self._is_leaving = True
-        _end_children()
+        # End our children, first with SIGTERM; ignore those that have ended
+        deadline_s = time.monotonic() + CHILD_S
+        for number in (signal.SIGTERM, signal.SIGKILL):
+            for child in _children():
+                with contextlib.suppress(OSError):
+                    os.kill(child, number)
+            while (
+                number == signal.SIGTERM and _alive() and time.monotonic() < deadline_s
+            ):
+                time.sleep(_LOOK_S / 5)
         for cleanup in reversed(_cleanups):
             with contextlib.suppress(Exception):
                 cleanup()
@@ -131,17 +142,6 @@ def _children() -> list[int]:
     return [
         int(word) for task in tasks for word in task.read_text(encoding="ascii").split()
     ]
-
-
-def _end_children() -> None:
-    """End our children, first with SIGTERM; ignore those that have ended."""
-    deadline_s = time.monotonic() + CHILD_S
-    for number in (signal.SIGTERM, signal.SIGKILL):
-        for child in _children():
-            with contextlib.suppress(OSError):
-                os.kill(child, number)
-        while number == signal.SIGTERM and _alive() and time.monotonic() < deadline_s:
-            time.sleep(_LOOK_S / 5)
 
 
 def _alive() -> bool:

@@ -51,7 +51,8 @@ def _module(place: str, folder: Path) -> ModuleType:
 
 def described(error: BaseException, most: int = 300) -> str:
     """Return an exception of a user's code in one line: type, text, and source line."""
-    where, trace = "", error.__traceback__
+    where = ""
+    trace = error.__traceback__
     while trace is not None:
         file = Path(trace.tb_frame.f_code.co_filename)
         if _HERE not in file.parents:

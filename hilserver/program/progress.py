@@ -22,7 +22,8 @@ class Progress:
     def __init__(self, stopped: Callable[[], str]) -> None:
         self._stopped = stopped
         self._start_s = time.monotonic()
-        self._footer, self._line = Footer(sys.stderr), ""
+        self._footer = Footer(sys.stderr)
+        self._line = ""
         self._next_line_s = self._start_s + PROGRESS_AFTER_S
 
     def __call__(self, stage: str, share: float) -> None:

@@ -42,7 +42,18 @@ def whole(path: Path, suffix: str = PARTIAL) -> Iterator[Path]:
         return
     try:
         yield partial
-        _replace(path, partial)
+        with contextlib.suppress(
+            OSError
+        ):  # no such file yet, or a disk without owners and modes
+            before = path.stat()
+            partial.chmod(before.st_mode & 0o777)
+            os.chown(partial, before.st_uid, before.st_gid)
+        try:
+            partial.replace(path)
+        except OSError as error:
+            if error.errno not in _STAYS or not path.exists():
+                raise
+            shutil.copyfile(partial, path)
     finally:
         with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)
@@ -57,21 +68,6 @@ def _begun(partial: Path, mode: int) -> bool:
             return False
         raise
     return True
-
-
-def _replace(path: Path, partial: Path) -> None:
-    with contextlib.suppress(
-        OSError
-    ):  # no such file yet, or a disk without owners and modes
-        before = path.stat()
-        partial.chmod(before.st_mode & 0o777)
-        os.chown(partial, before.st_uid, before.st_gid)
-    try:
-        partial.replace(path)
-    except OSError as error:
-        if error.errno not in _STAYS or not path.exists():
-            raise
-        shutil.copyfile(partial, path)
 
 
 @contextlib.contextmanager

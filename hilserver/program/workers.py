@@ -57,7 +57,8 @@ def in_processes(
         yield from ((index, function(task)) for index, task in enumerate(tasks))
         return
     context = multiprocessing.get_context("spawn")
-    count, others = min(workers, len(tasks)), set(multiprocessing.active_children())
+    count = min(workers, len(tasks))
+    others = set(multiprocessing.active_children())
     with ProcessPoolExecutor(count, context, end_with_parent, (os.getpid(),)) as pool:
         waiting = {
             pool.submit(function, task): index for index, task in enumerate(tasks)

@@ -79,7 +79,8 @@ class Writer:
                 self._news.wait_for(lambda: self._texts)
                 data = b"".join(self._texts)
                 self._texts.clear()
-                lost, self._lost = self._lost, 0
+                lost = self._lost
+                self._lost = 0
             if lost:
                 data += f"{self.lost_line(lost)}\n".encode(
                     self.encoding, "backslashreplace"

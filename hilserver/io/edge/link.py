@@ -53,7 +53,8 @@ class EdgeLink(Part):
     status: PeerStatus  # always up to date; `writes` counts messages with values sent
 
     def __init__(self, config: EdgeConfig, world: World) -> None:
-        self._config, self._world = config, world
+        self._config = config
+        self._world = world
         self.status = PeerStatus(
             "edge", f"mqtt://{config.host}:{config.port}", mode="mqtt"
         )
@@ -104,7 +105,8 @@ class EdgeLink(Part):
                     await asyncio.wait({self._job.task}, timeout=LEAVE_S + DISCONNECT_S)
         finally:
             self._drop()
-        self.status.connected, self.status.state = False, LinkState.STOPPED
+        self.status.connected = False
+        self.status.state = LinkState.STOPPED
 
     def publish(self, frame: Frame) -> None:
         """Send the groups that are due; a newer frame replaces one that waits."""
@@ -130,14 +132,38 @@ class EdgeLink(Part):
         while True:
             begun_s = time.monotonic()
             try:
-                self._client = self._new_client(password, context)
+                config = self._config
+                will = payload.status(config, 0, time.time_ns(), available=False)
+                self._client = aiomqtt.Client(
+                    config.host,
+                    config.port,
+                    username=config.user,
+                    password=password,
+                    protocol=PROTOCOLS[config.version],
+                    will=aiomqtt.Will(
+                        payload.status_topic(config), will, qos=config.qos, retain=True
+                    ),
+                    tls_context=context,
+                    timeout=ANSWER_S,
+                    keepalive=KEEPALIVE_S,
+                    queue_type=_at_once(self._take),
+                )
                 async with time_limit(None), self._client as client:
                     await self._serve(client)
             except* (aiomqtt.MqttError, OSError, TimeoutError) as group:
                 error = group.exceptions[0]
                 while isinstance(error, BaseExceptionGroup):
                     error = error.exceptions[0]
-                self._lost(str(error) or type(error).__name__)
+                reason = str(error) or type(error).__name__
+                status = self.status
+                status.failed_attempts += not status.connected
+                status.connected = False
+                status.state = LinkState.HELD_OFF
+                status.last_error = reason
+                sentence = f"the broker {status.endpoint} is not reachable: {reason}"
+                self._source.faults.refuse(
+                    EdgeFault.NO_BROKER, "broker", sentence, time.monotonic_ns()
+                )
             # the library keeps the socket of a connection that was not answered
             self._drop()
             if time.monotonic() - begun_s > LONGEST_PAUSE_S:
@@ -153,46 +179,6 @@ class EdgeLink(Part):
         if self._client is not None:
             self._client._client._sock_close()
 
-    def _new_client(
-        self, password: str | None, context: ssl.SSLContext | None
-    ) -> aiomqtt.Client:
-        config = self._config
-        will = payload.status(config, 0, time.time_ns(), available=False)
-        return aiomqtt.Client(
-            config.host,
-            config.port,
-            username=config.user,
-            password=password,
-            protocol=PROTOCOLS[config.version],
-            will=aiomqtt.Will(
-                payload.status_topic(config), will, qos=config.qos, retain=True
-            ),
-            tls_context=context,
-            timeout=ANSWER_S,
-            keepalive=KEEPALIVE_S,
-            queue_type=_at_once(self._take),
-        )
-
-    async def _greet(self, client: aiomqtt.Client) -> None:
-        """Publish birth message and metadata, and subscribe to writes."""
-        await self._say(client, available=True)
-        described = payload.metadata(
-            self._config, self._collections, self._status_number
-        )
-        topic, qos = payload.metadata_topic(self._config), self._config.qos
-        await client.publish(topic, described, qos=qos, retain=True)
-        for topic in self._by_topic:
-            await client.subscribe(topic, qos=qos)
-        status, now_ns = self.status, time.monotonic_ns()
-        status.reconnects += status.last_connect_ns is not None
-        status.connected, status.state, status.last_connect_ns = (
-            True,
-            LinkState.CONNECTED,
-            now_ns,
-        )
-        self._source.faults.admit()
-        _log.info("databus connected", broker=status.endpoint)
-
     async def _say(self, client: aiomqtt.Client, *, available: bool) -> None:
         self._status_number += 1
         text = payload.status(
@@ -203,7 +189,24 @@ class EdgeLink(Part):
 
     async def _serve(self, client: aiomqtt.Client) -> None:
         try:
-            await self._greet(client)
+            # Birth message, metadata, then writes.
+            await self._say(client, available=True)
+            described = payload.metadata(
+                self._config, self._collections, self._status_number
+            )
+            topic = payload.metadata_topic(self._config)
+            qos = self._config.qos
+            await client.publish(topic, described, qos=qos, retain=True)
+            for topic in self._by_topic:
+                await client.subscribe(topic, qos=qos)
+            status = self.status
+            now_ns = time.monotonic_ns()
+            status.reconnects += status.last_connect_ns is not None
+            status.connected = True
+            status.state = LinkState.CONNECTED
+            status.last_connect_ns = now_ns
+            self._source.faults.admit()
+            _log.info("databus connected", broker=status.endpoint)
             await together(self._send(client), _until_lost(client))
         except asyncio.CancelledError:
             try:
@@ -213,19 +216,6 @@ class EdgeLink(Part):
                 self._drop()
             raise
 
-    def _lost(self, reason: str) -> None:
-        status = self.status
-        status.failed_attempts += not status.connected
-        status.connected, status.state, status.last_error = (
-            False,
-            LinkState.HELD_OFF,
-            reason,
-        )
-        sentence = f"the broker {status.endpoint} is not reachable: {reason}"
-        self._source.faults.refuse(
-            EdgeFault.NO_BROKER, "broker", sentence, time.monotonic_ns()
-        )
-
     # --- values out and in ------------------------------------------------------------------------
 
     async def _send(self, client: aiomqtt.Client) -> None:
@@ -234,7 +224,8 @@ class EdgeLink(Part):
             self._news.clear()
             while self._waiting:
                 index = next(iter(self._waiting))
-                frame, collection = self._waiting.pop(index), self._collections[index]
+                frame = self._waiting.pop(index)
+                collection = self._collections[index]
                 self._numbers[index] += 1
                 utc_ns = self._world.clock.utc_ns(frame.planned_ns)
                 text = payload.values(collection, frame, self._numbers[index], utc_ns)

@@ -65,10 +65,8 @@ def collections_of(config: EdgeConfig, table: SignalTable) -> list[Collection]:
             for signal in scalars
             if any(fnmatchcase(signal.name, pattern) for pattern in group.signals)
         )
-        base, place = (
-            f"ie/d/j/simatic/v1/{config.id}/dp",
-            f"{config.connection}/{group.name}",
-        )
+        base = f"ie/d/j/simatic/v1/{config.id}/dp"
+        place = f"{config.connection}/{group.name}"
         write_topic = f"{base}/w/{place}" if group.writable else ""
         found.append(Collection(group, signals, f"{base}/r/{place}", write_topic))
     return found
@@ -90,10 +88,14 @@ def metadata(
     """Return the message that describes all others."""
     points = [_described(collection) for collection in collections]
     connection = {"name": config.connection, "type": "hilserver", "dataPoints": points}
+    # A number that changes only if the data points change.
+    digest = 0
+    for byte in _json(points):
+        digest = (digest * 31 + byte) & 0x7FFF_FFFF
     return _json(
         {
             "seq": number,
-            "hashVersion": _hash(points),
+            "hashVersion": digest,
             "applicationName": f"hilserver {__version__}",
             "statustopic": status_topic(config),
             "connections": [connection],
@@ -117,14 +119,6 @@ def _described(collection: Collection) -> dict[str, Any]:
             for signal in collection.signals
         ],
     }
-
-
-def _hash(points: object) -> int:
-    """Return a number that changes only if the data points change."""
-    digest = 0
-    for byte in _json(points):
-        digest = (digest * 31 + byte) & 0x7FFF_FFFF
-    return digest
 
 
 def status(config: EdgeConfig, number: int, utc_ns: int, *, available: bool) -> bytes:
@@ -187,7 +181,8 @@ def written(collection: Collection, data: bytes) -> Mapping[str, object]:
     points = message.get("vals") if isinstance(message, dict) else None
     if not isinstance(points, list):
         raise ValueError("has no list 'vals'")
-    inputs, found = collection.inputs, {}
+    inputs = collection.inputs
+    found = {}
     for point in points:
         if not isinstance(point, dict) or not {"id", "val"} <= point.keys():
             raise ValueError("has an entry without 'id' or 'val' in 'vals'")

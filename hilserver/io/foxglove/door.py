@@ -126,7 +126,15 @@ class ViewerDoor:
     ) -> None:
         async with time_limit(HEAD_S):
             head = await reader.readuntil(b"\r\n\r\n")
-        refusal = b"" if self._may_enter(head) else _REFUSED
+        named = [
+            value.strip().decode("latin-1").rstrip("/").lower()
+            for name, _, value in (
+                line.partition(b":") for line in head.split(b"\r\n")[1:]
+            )
+            if name.strip().lower() == b"origin"
+        ]
+        may_enter = all(origin in self._origins for origin in named)
+        refusal = b"" if may_enter else _REFUSED
         # RFC 6455, 4.1: names separated by commas, in one header or several
         lists = b",".join(values for _, values in _PROTOCOLS.findall(head))
         protocols = set(re.findall(rb"[^\s,]+", lists))
@@ -157,16 +165,6 @@ class ViewerDoor:
         finally:
             outer.transport.abort()
 
-    def _may_enter(self, head: bytes) -> bool:
-        named = [
-            value.strip().decode("latin-1").rstrip("/").lower()
-            for name, _, value in (
-                line.partition(b":") for line in head.split(b"\r\n")[1:]
-            )
-            if name.strip().lower() == b"origin"
-        ]
-        return all(origin in self._origins for origin in named)
-
 
 def _naming(head: bytes, protocol: bytes) -> bytes:
     """Return the head of a request or an answer with this subprotocol alone."""
@@ -195,7 +193,8 @@ async def _sent(
     reader: asyncio.StreamReader, writer: asyncio.StreamWriter, asks: Callable[[], None]
 ) -> None:
     """Forward data of the viewer, no faster than its share, without messages that are too long."""
-    is_allowed, loop = _short_messages(), asyncio.get_running_loop()
+    is_allowed = _short_messages()
+    loop = asyncio.get_running_loop()
     free_s = loop.time()
     while data := await reader.read(PIECE_BYTES):
         if not is_allowed(data):
@@ -213,7 +212,9 @@ def _short_messages() -> Callable[[bytes], bool]:
 
     It returns False once a message exceeds `LARGEST_MESSAGE`.
     """
-    head, left, message = bytearray(), 0, 0
+    head = bytearray()
+    left = 0
+    message = 0
 
     def is_allowed(data: bytes) -> bool:
         nonlocal left, message
@@ -221,7 +222,8 @@ def _short_messages() -> Callable[[bytes], bool]:
         while at < len(data):
             if left:
                 step = min(left, len(data) - at)
-                left, at = left - step, at + step
+                left -= step
+                at += step
                 continue
             head.append(data[at])
             at += 1

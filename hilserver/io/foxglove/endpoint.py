@@ -60,7 +60,8 @@ class FoxgloveEndpoint(Part):
     section = label = "foxglove"
 
     def __init__(self, config: FoxgloveConfig, world: World) -> None:
-        self._config, self._world = config, world
+        self._config = config
+        self._world = world
         signals = [signal for signal in world.table.scalars if not signal.hidden]
         slots = {signal.name: signal.slots[0] for signal in signals}
         layout = make_layout(list(slots))
@@ -82,7 +83,8 @@ class FoxgloveEndpoint(Part):
             round(world.config.page.deadman_ms * 1e6), HANDED_OVER_NS
         )
         # the frame shown last, when the hall is due again
-        self._shown, self._scene_s = -1, 0.0
+        self._shown = -1
+        self._scene_s = 0.0
         self._server: Any = None
         self._jobs: list[SupervisedTask] = []
 
@@ -143,48 +145,44 @@ class FoxgloveEndpoint(Part):
         await self._door.close()
         if self._server is not None:
             await asyncio.to_thread(self._server.stop)
-        self._server, self._jobs = None, []
+        self._server = None
+        self._jobs = []
 
     def _look(self) -> None:
         self._arrivals.look(time.monotonic_ns())
 
     def _show_newest(self) -> None:
-        frame, now_s = self._world.image.latest(), time.monotonic()
+        frame = self._world.image.latest()
+        now_s = time.monotonic()
         if frame is not None and frame.number != self._shown:
             self._shown = frame.number
-            self._show(frame)
+            stamp_ns = self._world.clock.utc_ns(frame.planned_ns)
+            if self._frames.has_sinks():
+                row = self._row
+                row["number"] = frame.number
+                row["tick"] = frame.tick
+                row["planned_ns"] = frame.planned_ns
+                row["values"] = frame.values[self._slots]
+                row["status"] = frame.status[self._slots]
+                self._frames.log(row.tobytes(), log_time=stamp_ns)
+            if self._transforms.has_sinks():
+                for parent, child, name in (
+                    ("map", "base_link", "pose"),
+                    ("map", "nav", "nav"),
+                ):
+                    self._transforms.log(
+                        self._transform(frame, parent, child, name, stamp_ns),
+                        log_time=stamp_ns,
+                    )
         if self._scene.has_sinks() and now_s >= self._scene_s:
             self._scene_s = now_s + SCENE_EVERY_S
             self._scene.log(scene(self._world.hall, self._world.shape))
 
-    def _show(self, frame: Frame) -> None:
-        stamp_ns = self._world.clock.utc_ns(frame.planned_ns)
-        if self._frames.has_sinks():
-            row = self._row
-            row["number"], row["tick"], row["planned_ns"] = (
-                frame.number,
-                frame.tick,
-                frame.planned_ns,
-            )
-            row["values"], row["status"] = (
-                frame.values[self._slots],
-                frame.status[self._slots],
-            )
-            self._frames.log(row.tobytes(), log_time=stamp_ns)
-        if self._transforms.has_sinks():
-            for parent, child, name in (
-                ("map", "base_link", "pose"),
-                ("map", "nav", "nav"),
-            ):
-                self._transforms.log(
-                    self._transform(frame, parent, child, name, stamp_ns),
-                    log_time=stamp_ns,
-                )
-
     def _transform(
         self, frame: Frame, parent: str, child: str, name: str, stamp_ns: int
     ) -> Any:
-        slot, values = self._world.table.slot, frame.values
+        slot = self._world.table.slot
+        values = frame.values
         x, y, yaw = (
             float(values[slot(f"{name}.{part}")]) for part in ("x_m", "y_m", "yaw_rad")
         )

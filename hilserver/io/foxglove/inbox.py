@@ -36,7 +36,9 @@ class Inbox(ServerListener):
         knows: Callable[[str], bool],
         wake: Callable[[], None],
     ) -> None:
-        self._understand, self._knows, self._wake = understand, knows, wake
+        self._understand = understand
+        self._knows = knows
+        self._wake = wake
         self._channels: dict[tuple[int, int], tuple[str, str]] = {}
         self._lock = threading.Lock()
         self._newest: dict[frozenset[str], Mapping[str, object]] = {}
@@ -46,7 +48,8 @@ class Inbox(ServerListener):
     def take(self) -> tuple[list[Mapping[str, object]], int]:
         """Return messages since the last call, and when the last one came (CLOCK_MONOTONIC)."""
         with self._lock:
-            newest, self._newest = self._newest, {}
+            newest = self._newest
+            self._newest = {}
         return [*newest.values()], self._came_ns
 
     def on_client_advertise(self, client: Any, channel: Any) -> None:
@@ -73,19 +76,16 @@ class Inbox(ServerListener):
         if unknown is not None:  # it may have been meant as a part of the same command
             self._complain(known[0], f"there is no signal '{unknown:.60}' to write")
         elif values:
-            self._keep(values)
-
-    def _keep(self, written: Mapping[str, object]) -> None:
-        names = frozenset(written)
-        with self._lock:
-            is_first = not self._newest
-            self._newest.pop(names, None)
-            self._newest[names] = written  # the last one, as it came last
-            if len(self._newest) > MOST_SETS:
-                del self._newest[next(iter(self._newest))]
-            self._came_ns = time.monotonic_ns()
-        if is_first:
-            self._wake()
+            names = frozenset(values)
+            with self._lock:
+                is_first = not self._newest
+                self._newest.pop(names, None)
+                self._newest[names] = values  # the last one, as it came last
+                if len(self._newest) > MOST_SETS:
+                    del self._newest[next(iter(self._newest))]
+                self._came_ns = time.monotonic_ns()
+            if is_first:
+                self._wake()
 
     def _complain(self, topic: str, why: str) -> None:
         now_s = time.monotonic()

@@ -21,10 +21,8 @@ def scene(hall: NDArray[Any], shape: Shape) -> Any:
     `hall`, shape (4 n,): ends x1, y1, x2, y2 of each wall [m].
     """
     walls = [_wall(*wall) for wall in hall.reshape(-1, 4).tolist()]
-    length, width = (
-        shape.wheelbase_m + shape.wheel_radius_m,
-        shape.track_m - WHEEL_WIDTH_M,
-    )
+    length = shape.wheelbase_m + shape.wheel_radius_m
+    width = shape.track_m - WHEEL_WIDTH_M
     chassis = fg.CubePrimitive(
         pose=_pose(), size=fg.Vector3(x=length, y=max(width, 0.02), z=0.08), color=_BODY
     )

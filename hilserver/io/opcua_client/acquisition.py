@@ -117,7 +117,8 @@ class Acquisition:
 
     async def _observe(self, subscription: PeerSubscription, duration_s: float) -> str:
         """Watch the running subscription for a while; return why it is too slow, if it is."""
-        received, missed = self.status.sequence_received, self.status.sequence_missed
+        received = self.status.sequence_received
+        missed = self.status.sequence_missed
         await subscription.watch(duration_s)
         slow = too_many_missed(
             self.status.sequence_received - received,
@@ -129,7 +130,8 @@ class Acquisition:
         return slow
 
     def _enter(self, mode: str, reason: str) -> None:
-        self.status.mode, self.status.mode_reason = mode, reason
+        self.status.mode = mode
+        self.status.mode_reason = reason
         _log.info("peer mode", peer=self.config.name, mode=mode, reason=reason)
 
     async def _poll(self, reason: str) -> None:

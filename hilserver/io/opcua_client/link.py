@@ -50,7 +50,35 @@ class PeerLink(Peer):
     async def converse(self) -> None:
         """Hold one session."""
         async with PeerSession(self.config.endpoint, self._security) as session:
-            await self._work(session)
+            status = self.status
+            now_ns = time.monotonic_ns()
+            await session.read_clock()
+            intake = self.enter()
+            acquisition = Acquisition(
+                session, self.config, status, intake, self._report_slow
+            )
+            self._intake.expect(acquisition.nodes, now_ns)
+            writer = PeerWriter(
+                session,
+                self.config,
+                status,
+                self._faults,
+                self._read_output,
+                self._clock.utc,
+                Lane(self._line, "out"),
+            )
+            ways = [
+                session.wait_lost(),
+                session.watch_trust(),
+                self.wait_cut(),
+                intake.run(),
+                self._heartbeat(session),
+            ]
+            if self.config.write:
+                ways.append(writer.run())
+            if acquisition.nodes:
+                ways.append(acquisition.run())
+            await together(*ways)
 
     @staticmethod
     def describe(error: BaseException) -> str:
@@ -60,36 +88,6 @@ class PeerLink(Peer):
         if isinstance(error, ua.UaStatusCodeError):
             return f"the peer answered {error.__class__.__name__}"
         return describe(error)
-
-    async def _work(self, session: PeerSession) -> None:
-        status, now_ns = self.status, time.monotonic_ns()
-        await session.read_clock()
-        intake = self.enter()
-        acquisition = Acquisition(
-            session, self.config, status, intake, self._report_slow
-        )
-        self._intake.expect(acquisition.nodes, now_ns)
-        writer = PeerWriter(
-            session,
-            self.config,
-            status,
-            self._faults,
-            self._read_output,
-            self._clock.utc,
-            Lane(self._line, "out"),
-        )
-        ways = [
-            session.wait_lost(),
-            session.watch_trust(),
-            self.wait_cut(),
-            intake.run(),
-            self._heartbeat(session),
-        ]
-        if self.config.write:
-            ways.append(writer.run())
-        if acquisition.nodes:
-            ways.append(acquisition.run())
-        await together(*ways)
 
     def _report_slow(self, sentence: str) -> None:
         now_ns = time.monotonic_ns()

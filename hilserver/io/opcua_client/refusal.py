@@ -143,16 +143,16 @@ def refused_by_peer(
             if user is None
             else "check user and password_file"
         )
-        kind, sentence = FaultKind.LOG_IN, f"it refuses {who}: {remedy}"
+        kind = FaultKind.LOG_IN
+        sentence = f"it refuses {who}: {remedy}"
     elif code in _POLICY_CODES:
-        kind, sentence = (
-            FaultKind.SECURITY_POLICY,
-            "it refuses this policy and mode: set security",
-        )
+        kind = FaultKind.SECURITY_POLICY
+        sentence = "it refuses this policy and mode: set security"
     elif code.startswith("BadCertificate") or code == "BadSecurityChecksFailed":
         which = f"our certificate {ours}" if ours else "an unprotected connection"
         remedy = "trust it there, and check both clocks" if ours else "set security"
-        kind, sentence = FaultKind.CERTIFICATE, f"it refuses {which}: {remedy}"
+        kind = FaultKind.CERTIFICATE
+        sentence = f"it refuses {which}: {remedy}"
     else:
         return None
     return LinkRefusedError(kind, code, f"not connected: {sentence} ({code})")

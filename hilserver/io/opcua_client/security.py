@@ -191,7 +191,8 @@ class LinkSecurity:
     ) -> x509.Certificate:
         """Return the certificate if it is good."""
         assert self._identity is not None
-        shown, uri = data or b"", server.ApplicationUri or ""
+        shown = data or b""
+        uri = server.ApplicationUri or ""
         verdict = self._verdict(shown, uri)
         if verdict is not CertificateVerdict.GOOD:
             kept = (
@@ -204,7 +205,8 @@ class LinkSecurity:
 
     def _verdict(self, data: bytes, uri: str) -> CertificateVerdict:
         assert self._identity is not None
-        trust, only = self._identity.trust, self._identity.only
+        trust = self._identity.trust
+        only = self._identity.only
         return trust.judge_server(data, self._host, uri, only=only)
 
     def _refuse(

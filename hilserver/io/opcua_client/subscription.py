@@ -176,22 +176,19 @@ class PeerSubscription:
     def _on_publish(self, result: ua.PublishResult) -> None:
         # The library swallows exceptions of its callback; the session must end instead.
         try:
-            self._take(result)
+            now_ns = time.monotonic_ns()
+            self._received_s = now_ns / 1e9
+            samples = []
+            for notification in result.NotificationMessage.NotificationData or ():
+                if isinstance(notification, ua.DataChangeNotification):
+                    for item in notification.MonitoredItems:
+                        node = self._handles.get(item.ClientHandle)
+                        if node is not None:
+                            samples.append((node, judge(item.Value)))
+            self._intake.receive(samples, now_ns)
         except Exception as error:  # noqa: BLE001
             if not self._failure.done():
                 self._failure.set_exception(error)
-
-    def _take(self, result: ua.PublishResult) -> None:
-        now_ns = time.monotonic_ns()
-        self._received_s = now_ns / 1e9
-        samples = []
-        for notification in result.NotificationMessage.NotificationData or ():
-            if isinstance(notification, ua.DataChangeNotification):
-                for item in notification.MonitoredItems:
-                    node = self._handles.get(item.ClientHandle)
-                    if node is not None:
-                        samples.append((node, judge(item.Value)))
-        self._intake.receive(samples, now_ns)
 
     async def watch(self, duration_s: float) -> None:
         """Wait; raise the error that occurs meanwhile.

@@ -72,31 +72,27 @@ class PeerWriter:
         ]
         if not values:
             return
-        signals, request = [signal for signal, _ in values], ua.WriteParameters()
+        signals = [signal for signal, _ in values]
+        request = ua.WriteParameters()
         request.NodesToWrite = [value for _, value in values]
         self._lane.put((signals, request))
         for named, due in self._lane.take():
-            await self._send(named, due)
-
-    async def _send(self, signals: list[str], request: ua.WriteParameters) -> None:
-        results = await self._session.services.write(request)
-        if len(results) != len(signals):
-            raise LinkLostError(
-                "the peer answered a write with the wrong number of results"
-            )
-        self._status.writes += 1
-        for signal, result in zip(signals, results, strict=True):
-            if not result.is_good() and signal in self._targets:
-                self._on_refused(signal, result)
+            results = await self._session.services.write(due)
+            if len(results) != len(named):
+                raise LinkLostError(
+                    "the peer answered a write with the wrong number of results"
+                )
+            self._status.writes += 1
+            for written, result in zip(named, results, strict=True):
+                if not result.is_good() and written in self._targets:
+                    self._on_refused(written, result)
 
     def _value(self, signal: str, output: Output) -> tuple[str, ua.WriteValue] | None:
         """Return what is written for a signal now; None if nothing can be."""
         node, kind = self._targets[signal]
         value, status, monotonic_ns = output
-        form, address = (
-            self._forms.get(signal, SentForm.WHOLE),
-            self._config.write[signal],
-        )
+        form = self._forms.get(signal, SentForm.WHOLE)
+        address = self._config.write[signal]
         is_honest = self._config.write_status == "honest"
         if is_bad(status) and not (is_honest and form.has_status):
             return None  # without its status it would pass for a good value

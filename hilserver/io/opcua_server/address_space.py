@@ -62,7 +62,8 @@ class AddressSpaceBuilder:
 
     def roots(self) -> None:
         """Add DI's DeviceSet and the robot below it."""
-        kinds, name = ua.ObjectIds, ua.QualifiedName("DeviceSet", self._di_index)
+        kinds = ua.ObjectIds
+        name = ua.QualifiedName("DeviceSet", self._di_index)
         device_set = NodePlace(self.device_set, name, OBJECTS, kinds.Organizes)
         self._object(
             device_set, kinds.BaseObjectType, "Contains all instances of devices"
@@ -96,8 +97,10 @@ class AddressSpaceBuilder:
 
     def _namespace(self, uri: str, index: int, version: str, ids: ua.IdType) -> None:
         """Describe one of our namespaces where clients look for it (OPC 10000-5, 6.3.13)."""
-        kinds, path = ua.ObjectIds, f"namespaces.{index}"
-        parent, name = ua.NodeId(kinds.Server_Namespaces), ua.QualifiedName(uri, index)
+        kinds = ua.ObjectIds
+        path = f"namespaces.{index}"
+        parent = ua.NodeId(kinds.Server_Namespaces)
+        name = ua.QualifiedName(uri, index)
         place = NodePlace(self.node_id(path), name, parent, kinds.HasComponent)
         self._object(place, kinds.NamespaceMetadataType, uri)
         no_ranges = ua.Variant([], ua.VariantType.String, is_array=True)
@@ -141,9 +144,6 @@ class AddressSpaceBuilder:
         ).value = ua.DataValue(
             ua.Variant(), _WAITING, ServerTimestamp=datetime.now(UTC)
         )
-        self._properties(row)
-
-    def _properties(self, row: model.Variable) -> None:
         kinds = ua.ObjectIds
         if row.eu_range is not None:
             low, high = row.eu_range
@@ -173,10 +173,8 @@ class AddressSpaceBuilder:
         attributes.ValueRank = 1 if isinstance(value, list) else -1
         attributes.ArrayDimensions = [0] if isinstance(value, list) else None
         attributes.Value = value if isinstance(value, ua.Variant) else ua.Variant(value)
-        node_id, browse_name = (
-            self.node_id(f"{owner}.{name}"),
-            ua.QualifiedName(name, namespace),
-        )
+        node_id = self.node_id(f"{owner}.{name}")
+        browse_name = ua.QualifiedName(name, namespace)
         place = NodePlace(
             node_id, browse_name, self.node_id(owner), ua.ObjectIds.HasProperty
         )
@@ -216,7 +214,8 @@ class AddressSpaceBuilder:
         """Add an event type; `properties` are rows of name, data type, initial value."""
         attributes = ua.ObjectTypeAttributes()
         attributes.IsAbstract = False
-        kinds, mandatory = ua.ObjectIds, ua.NodeId(ua.ObjectIds.ModellingRule_Mandatory)
+        kinds = ua.ObjectIds
+        mandatory = ua.NodeId(ua.ObjectIds.ModellingRule_Mandatory)
         place = NodePlace(self.node_id(path), self.name(name), base, kinds.HasSubtype)
         node_id = self._add(place, attributes)
         for entry, data_type, value in properties:
@@ -256,7 +255,8 @@ class AddressSpaceBuilder:
         is_forward: bool = True,
     ) -> None:
         item = ua.AddReferencesItem()
-        item.SourceNodeId, item.TargetNodeId = source, target
+        item.SourceNodeId = source
+        item.TargetNodeId = target
         item.ReferenceTypeId = ua.NodeId(kind)
         item.IsForward = is_forward
         item.TargetNodeClass = target_class

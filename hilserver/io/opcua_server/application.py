@@ -100,13 +100,13 @@ class RobotApplication(Application):
         show_owner: Callable[[], None],
     ) -> None:
         super().__init__(server, server.access)
-        self._index, self._table, self._image, self._gate = (
-            namespace_index,
-            table,
-            image,
-            gate,
-        )
-        self._variables, self._parts, self._show_owner = variables, parts, show_owner
+        self._index = namespace_index
+        self._table = table
+        self._image = image
+        self._gate = gate
+        self._variables = variables
+        self._parts = parts
+        self._show_owner = show_owner
         self._parameters = parameters
         self._methods = {ua.NodeId(m.node_id, namespace_index): m for m in METHODS}
         # marks sessions of the operator page, as the first word of their session name
@@ -123,7 +123,8 @@ class RobotApplication(Application):
         """
         first, _, rest = session_name.partition(" ")
         if secrets.compare_digest(first.encode(), self.page_secret.encode()):
-            user_address, source = rest.partition(" ")[0], f"page:{next(self._numbers)}"
+            user_address = rest.partition(" ")[0]
+            source = f"page:{next(self._numbers)}"
             return RobotVisitor(user_address, has_own_place=True, source=source)
         # One number each: two terminals neither share a rest nor mix their set-points.
         source = f"{TELEOP}:{next(self._numbers)}" if first == "teleop" else SOURCE
@@ -146,7 +147,8 @@ class RobotApplication(Application):
 
     def is_writable(self, node_id: ua.NodeId) -> bool:
         """Whether a variable is a parameter, or a signal: the gate knows which are inputs."""
-        name, is_ours = node_id.Identifier, node_id.NamespaceIndex == self._index
+        name = node_id.Identifier
+        is_ours = node_id.NamespaceIndex == self._index
         return is_ours and (
             name == CONTROL_SOURCE or name in self._table or name in self._parameters
         )
@@ -300,7 +302,8 @@ class RobotApplication(Application):
 
     async def call(self, request: ua.CallMethodRequest, session: Any) -> CallAnswer:
         """Answer one call; the method can see who called."""
-        who, method = _name_of(session), self._methods.get(request.MethodId)
+        who = _name_of(session)
+        method = self._methods.get(request.MethodId)
         other = (
             self._other_driver(session)
             if method is not None and method.disturbs

@@ -60,7 +60,8 @@ class Diagnostics:
         self._types: dict[str, ua.VariantType] = {}
         self._last: dict[str, object] = {}
         self._is_full = False
-        self._every_s, self._due_s = every_s, 0.0
+        self._every_s = every_s
+        self._due_s = 0.0
         self._table: Table = {}
 
     def publish(self) -> Table:

@@ -38,7 +38,8 @@ class Parts:
         self, control: "Control", faults: "Faults | None", files: Any = None
     ) -> None:
         self.control = control
-        self._faults, self._files = faults, files
+        self._faults = faults
+        self._files = files
 
     @property
     def faults(self) -> "Faults":

@@ -72,7 +72,8 @@ class FloodGate:
         """Whether one more event may be sent now; if so, it counts as sent."""
         now_s = self._monotonic_s()
         if now_s - window.started_s >= _WINDOW_S:
-            window.started_s, window.sent = now_s, 0
+            window.started_s = now_s
+            window.sent = 0
         window.sent += 1
         return window.sent <= self._limit
 
@@ -87,7 +88,8 @@ class _Window:
     last: Event | None = None
 
     def take_left_out(self) -> int:
-        left_out, self.left_out = self.left_out, 0
+        left_out = self.left_out
+        self.left_out = 0
         return left_out
 
 
@@ -105,7 +107,26 @@ class RobotEvents:
         self._subscriptions = subscriptions
         self._clock = clock
         self._robot = builder.robot
-        self._types = _add_types(builder)
+        kinds = ua.ObjectIds
+        base = builder.event_type(
+            f"types.{BASE_TYPE}",
+            BASE_TYPE,
+            ua.NodeId(kinds.BaseEventType),
+            (
+                ("Kind", kinds.String, ""),
+                ("MonotonicTime_ns", kinds.Int64, 0),
+                ("Suppressed", 7, 0),
+            ),
+        )
+        types = {
+            kind: builder.event_type(f"types.{name}", name, base, ())
+            for kind, name in TYPE_NAMES.items()
+        }
+        for type_id in types.values():
+            builder.reference(
+                builder.robot, type_id, kinds.GeneratesEvent, ua.NodeClass.ObjectType
+            )
+        self._types = types
         self._gate = FloodGate(limit_per_s, self._emit)
         self._unsubscribe: Callable[[], None] | None = None
 
@@ -144,26 +165,3 @@ class RobotEvents:
             "MonotonicTime_ns": ua.Variant(event.monotonic_ns, _Type.Int64),
             "Suppressed": ua.Variant(suppressed, _Type.UInt32),
         }
-
-
-def _add_types(builder: AddressSpaceBuilder) -> dict[EventKind, ua.NodeId]:
-    kinds = ua.ObjectIds
-    base = builder.event_type(
-        f"types.{BASE_TYPE}",
-        BASE_TYPE,
-        ua.NodeId(kinds.BaseEventType),
-        (
-            ("Kind", kinds.String, ""),
-            ("MonotonicTime_ns", kinds.Int64, 0),
-            ("Suppressed", 7, 0),
-        ),
-    )
-    types = {
-        kind: builder.event_type(f"types.{name}", name, base, ())
-        for kind, name in TYPE_NAMES.items()
-    }
-    for type_id in types.values():
-        builder.reference(
-            builder.robot, type_id, kinds.GeneratesEvent, ua.NodeClass.ObjectType
-        )
-    return types

@@ -40,7 +40,8 @@ class OpcUaServer(Part):
     section, label, is_early = "opcua", "OPC UA", True
 
     def __init__(self, world: World) -> None:
-        self._world, self._config = world, world.config.opcua
+        self._world = world
+        self._config = world.config.opcua
         self._gate = world.gate
         audit = world.tables["audit"]
         self._providers = dict(world.tables) | {
@@ -100,7 +101,8 @@ class OpcUaServer(Part):
             self._config, self._world.folder, self._world.tasks.spawn
         )
         server.set_server_name("hilserver")
-        server.product_uri, server.manufacturer_name = PRODUCT_URI, "hilserver"
+        server.product_uri = PRODUCT_URI
+        server.manufacturer_name = "hilserver"
         await server.init()
         await server.set_build_info(**build_info())
         await self._build(server)
@@ -118,7 +120,8 @@ class OpcUaServer(Part):
         """End all sessions and close the socket."""
         if self._server is None:
             return
-        server, self._server = self._server, None
+        server = self._server
+        self._server = None
         self._robot_events.detach()
         self._status.show(State.STOPPING, {}, {})
         await server.stop()

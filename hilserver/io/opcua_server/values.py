@@ -63,7 +63,8 @@ class SignalPlace(AttributeValue):  # type: ignore[misc]
     def value(self) -> FixedDataValue:
         """The value since the last change; the same object until the next."""
         if self._made_of is not self.stamp:
-            self._made, self._made_of = self._make(), self.stamp
+            self._made = self._make()
+            self._made_of = self.stamp
         return self._made
 
     @value.setter
@@ -71,8 +72,10 @@ class SignalPlace(AttributeValue):  # type: ignore[misc]
         """Ignore writes: the value is always that of the frame."""
 
     def _make(self) -> FixedDataValue:
-        slots, code_of = self._signal.slots, self._variables.code
-        values, status = self._variables.values, self._variables.status
+        slots = self._signal.slots
+        code_of = self._variables.code
+        values = self._variables.values
+        status = self._variables.status
         code = (
             status[slots[0]]
             if len(slots) == 1
@@ -131,7 +134,12 @@ class SignalVariables:
         bits = frame.values.view(np.int64)
         changed = (bits != self._bits) | (frame.status != self._status)
         if self._is_any_held:
-            changed = self._release(changed, frame.latched_rows)
+            # Which slots to write: held ones only on release, and then in any case
+            held = self._held_until > frame.latched_rows
+            released = (self._held_until > 0) & ~held
+            self._held_until[released] = 0
+            self._is_any_held = bool(held.any())
+            changed = (changed | released) & ~held
         slots = np.flatnonzero(changed)
         if slots.size == 0:
             return 0
@@ -153,14 +161,6 @@ class SignalVariables:
         self._held_until[slots] = pushed_rows
         self._is_any_held = True
         self._mark(slots, datetime.now(UTC))
-
-    def _release(self, changed: Any, latched_rows: int) -> Any:
-        """Return which slots to write: held ones only on release, and then in any case."""
-        held = self._held_until > latched_rows
-        released = (self._held_until > 0) & ~held
-        self._held_until[released] = 0
-        self._is_any_held = bool(held.any())
-        return (changed | released) & ~held
 
     def _mark(self, slots: list[int], source: datetime) -> None:
         stamp = Stamp(source, datetime.now(UTC))

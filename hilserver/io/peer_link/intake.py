@@ -36,8 +36,10 @@ class Intake:
         self._stamped_node = config.counter
         self._modulus = config.counter_modulus
         self._sends_sequence = SEQUENCE_SIGNAL not in config.inputs
-        self._source, self._status = source, source.status
-        self._staleness, self._faults = source.staleness, source.faults
+        self._source = source
+        self._status = source.status
+        self._staleness = source.staleness
+        self._faults = source.faults
         self._utc_ns = utc_ns
         # newest number of the counter, of whichever session
         self._counted: int | None = None
@@ -101,7 +103,9 @@ class Intake:
                 if is_new:
                     self._fresh.add(name)
         if news:
-            self._observe_interval(now_ns)
+            if self._news_ns is not None:
+                self._status.interval.observe(now_ns - self._news_ns)
+            self._news_ns = now_ns
         if advanced:
             self._repeats = 0
             self._hand_over(now_ns)
@@ -110,7 +114,8 @@ class Intake:
 
     def _compare(self, node: str, verdict: SampleVerdict) -> tuple[bool, bool]:
         """Return (value or stamp is new, value has changed) and remember both."""
-        before, value = self._last_values.get(node), verdict.value
+        before = self._last_values.get(node)
+        value = verdict.value
         now = (verdict.stamp_ns, value)
         self._last_values[node] = now
         if not isinstance(before, tuple):
@@ -140,7 +145,8 @@ class Intake:
                 FaultKind.SEQUENCE_JUMP, str(self._counter), sentence, now_ns
             )
             return False
-        before, number = self.sequence.last, int(value) % self._modulus
+        before = self.sequence.last
+        number = int(value) % self._modulus
         # A controller that hangs says the same again in every session: nothing of it is new.
         is_old = before is None and number == self._counted
         self._counted = number
@@ -178,11 +184,6 @@ class Intake:
             return
         self._status.one_way.observe(max(latency_ns, 0))
         self._age_ns = max(latency_ns, 0) if latency_ns < OLDEST_NS else 0
-
-    def _observe_interval(self, now_ns: int) -> None:
-        if self._news_ns is not None:
-            self._status.interval.observe(now_ns - self._news_ns)
-        self._news_ns = now_ns
 
     def _hand_over(self, now_ns: int) -> None:
         self._staleness.renew(now_ns)

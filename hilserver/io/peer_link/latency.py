@@ -40,10 +40,12 @@ class ClockOffset:
 
     def read(self, sent_ns: int, received_ns: int, peer_ns: int) -> bool:
         """Add one read; all three in UTC [ns]. Return whether it gave an estimate."""
-        last, self._last = self._last, _Read(sent_ns, received_ns, peer_ns)
+        last = self._last
+        self._last = _Read(sent_ns, received_ns, peer_ns)
         if last is None or received_ns - last.sent_ns > PAIR_NS:
             return False
-        advance_ns, elapsed_ns = peer_ns - last.peer_ns, received_ns - last.received_ns
+        advance_ns = peer_ns - last.peer_ns
+        elapsed_ns = received_ns - last.received_ns
         if advance_ns == 0:
             return False
         if abs(advance_ns - elapsed_ns) <= FRESH_NS:
@@ -107,7 +109,8 @@ class StampWatch:
         changed = value != seen.value and not (value is None or seen.value is None)
         seen.value = value
         if stamp_ns > seen.stamp_ns:
-            seen.stamp_ns, seen.changes_without_advance = stamp_ns, 0
+            seen.stamp_ns = stamp_ns
+            seen.changes_without_advance = 0
             return StampVerdict(advanced=True)
         if stamp_ns < seen.stamp_ns - BACKWARDS_NS:
             seen.stamp_ns = stamp_ns

@@ -21,7 +21,6 @@ from hilserver.io.peer_link.intake import FaultyIntake, Intake
 from hilserver.io.peer_link.samples import (
     FaultKind,
     LinkLostError,
-    LinkRefusedError,
     refusal_in,
 )
 from hilserver.io.source import Source
@@ -89,7 +88,8 @@ class Peer(Part):
         line: PeerLine | None = None,
         tasks: Supervisor | None = None,
     ) -> None:
-        self.config, self.label = config, config.name
+        self.config = config
+        self.label = config.name
         self.status = PeerStatus(config.name, config.endpoint)
         self._read_output = read_output
         self._clock = clock
@@ -138,7 +138,8 @@ class Peer(Part):
 
     async def stop(self) -> None:
         """Close the session and end; limited by the session's close time."""
-        jobs, self._jobs = self._jobs, []
+        jobs = self._jobs
+        self._jobs = []
         for job in jobs:
             await job.end()
         self.status.state = LinkState.STOPPED
@@ -168,13 +169,25 @@ class Peer(Part):
             except Exception as error:  # noqa: BLE001 - a broken peer can make a library raise anything
                 refused = refusal_in(error)
                 if refused is None:
-                    self._note_end(error)
+                    why = self.describe(error)
+                    if self.status.connected or why != self.status.last_error:
+                        _log.warning("peer link ended", peer=self.config.name, why=why)
+                    self.status.last_error = why
                 else:
-                    self._note_refusal(refused)
+                    # Reported once, however often the attempt is repeated.
+                    self.status.last_error = str(refused)
+                    self._faults.refuse(
+                        refused.kind, refused.subject, str(refused), time.monotonic_ns()
+                    )
                     shortest_s = refused.pause_s
             if self.status.connected and loop.time() - started_s > SETTLED_S:
                 backoff.settled()
-            self._leave()
+            status = self.status
+            if not status.connected:
+                status.failed_attempts += 1
+            status.connected = False
+            status.state = LinkState.HELD_OFF
+            status.mode = status.mode_reason = ""
             if not self._jobs:
                 # stopped: an error at the same moment has hidden the cancellation
                 return
@@ -192,32 +205,13 @@ class Peer(Part):
         if status.last_connect_ns is not None:
             status.reconnects += 1
         status.last_connect_ns = time.monotonic_ns()
-        status.connected, status.state = True, LinkState.CONNECTED
+        status.connected = True
+        status.state = LinkState.CONNECTED
         self._faults.admit()
         _log.info(
             "peer connected", peer=self.config.name, endpoint=self.config.endpoint
         )
         return FaultyIntake(self._intake, self._line)
-
-    def _leave(self) -> None:
-        status = self.status
-        if not status.connected:
-            status.failed_attempts += 1
-        status.connected, status.state = False, LinkState.HELD_OFF
-        status.mode = status.mode_reason = ""
-
-    def _note_end(self, error: Exception) -> None:
-        why = self.describe(error)
-        if self.status.connected or why != self.status.last_error:
-            _log.warning("peer link ended", peer=self.config.name, why=why)
-        self.status.last_error = why
-
-    def _note_refusal(self, refused: LinkRefusedError) -> None:
-        """Report the reason once, however often the attempt is repeated."""
-        self.status.last_error = str(refused)
-        self._faults.refuse(
-            refused.kind, refused.subject, str(refused), time.monotonic_ns()
-        )
 
 
 def describe(error: BaseException) -> str:

@@ -88,7 +88,8 @@ class SequenceWatch:
 
     def observe(self, number: int) -> SequenceStep:
         """Judge the next sequence number."""
-        last, self.last = self.last, number
+        last = self.last
+        self.last = number
         if last is None:
             return SequenceStep(advanced=True)
         step = (number - last) % self._modulus

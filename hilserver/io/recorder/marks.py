@@ -74,12 +74,15 @@ class Marks:
                     os.close(fd)
 
     def _wait_for(self, path: Path, fd: int) -> None:
-        least, last, deadline_s = self._image.head - self._room, -1, 0.0
+        least = self._image.head - self._room
+        last = -1
+        deadline_s = 0.0
         while (number := int.from_bytes(os.pread(fd, _WORD, 0), sys.byteorder)) < least:
             if self._given_up.get(path) == number or _is_left_behind(path, fd):
                 return
             if number != last:
-                last, deadline_s = number, time.monotonic() + PATIENCE_S
+                last = number
+                deadline_s = time.monotonic() + PATIENCE_S
             elif time.monotonic() > deadline_s:
                 _log.warning(
                     "a recorder is stalled: going on without it", mark=path.name
@@ -104,7 +107,9 @@ class StateService:
     """Looks for requests and lets the plant copy its state; see `image.state_request`."""
 
     def __init__(self, snapshots: SnapshotStore, image: str, tasks: Supervisor) -> None:
-        self._snapshots, self._image, self._tasks = snapshots, image, tasks
+        self._snapshots = snapshots
+        self._image = image
+        self._tasks = tasks
         self._capturing: SupervisedTask | None = None
 
     def serve(self) -> None:

@@ -47,8 +47,10 @@ class FileSeries:
     """
 
     def __init__(self, settings: Settings) -> None:
-        self._settings, self._opened = settings, 0
-        self._path, self._keep = settings.path, settings.keep
+        self._settings = settings
+        self._opened = 0
+        self._path = settings.path
+        self._keep = settings.keep
         self._rotate_bytes = settings.rotate_bytes
         self._rotates = (
             settings.rotate_s is not None or settings.rotate_bytes is not None
@@ -122,7 +124,8 @@ class FileSeries:
         )
 
     def _numbers(self) -> list[int]:
-        stem, suffix = re.escape(self._path.stem), re.escape(self._path.suffix)
+        stem = re.escape(self._path.stem)
+        suffix = re.escape(self._path.suffix)
         pattern = re.compile(rf"{stem}_(\d{{4,6}}){suffix}")
         names = (pattern.fullmatch(path.name) for path in self._path.parent.iterdir())
         return sorted(int(match[1]) for match in names if match)

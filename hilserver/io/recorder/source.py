@@ -56,7 +56,12 @@ class FrameSource:
         self._edition = (
             self._reader.region("edition")[0][0] if not self._reader.head else None
         )
-        self._edition_slot = _slot_of("internal.edition", self.description)
+        slots = (
+            signal["slots"]
+            for signal in self.description["signals"]
+            if signal["name"] == "internal.edition"
+        )
+        self._edition_slot = int(next(slots)[0])
         self._start_without_state: tuple[int, int] | None = None
         self._gap = False
         self.lost = 0  # frames that were overwritten before they were read
@@ -158,16 +163,15 @@ class FrameSource:
         if jumps.any():
             last = int(np.flatnonzero(jumps)[-1])
             self._start_without_state = (int(segments[last]), int(ticks[last]))
-        self._segment, self._last_tick = int(segments[-1]), int(ticks[-1])
+        self._segment = int(segments[-1])
+        self._last_tick = int(ticks[-1])
         self._edition = float(editions[-1])
         return Segmented(batch, segments, changes)
 
     def _named(self, packed: NDArray[np.float64]) -> dict[str, float]:
         """Return the values of a change by name."""
-        regions, names = (
-            self.description["regions"],
-            self.description["run"]["parameters"],
-        )
+        regions = self.description["regions"]
+        names = self.description["run"]["parameters"]
         first = regions["parameters"][0] - regions["p"][0]
         return dict(
             zip(names, packed[first : first + len(names)].tolist(), strict=True)
@@ -181,7 +185,8 @@ class FrameSource:
         kind, tick, words = taken
         segment = self._segment
         if kind != REQUEST_SAVE:
-            start, self._start_without_state = self._start_without_state, None
+            start = self._start_without_state
+            self._start_without_state = None
             segment = (
                 start[0] if start is not None and start[1] == tick else segment + 1
             )
@@ -209,10 +214,3 @@ class FrameSource:
         take_request(self._name)
         self.release_time()
         os.close(self._fd)
-
-
-def _slot_of(name: str, description: dict[str, Any]) -> int:
-    slots = (
-        signal["slots"] for signal in description["signals"] if signal["name"] == name
-    )
-    return int(next(slots)[0])

@@ -28,22 +28,23 @@ class Thinner:
     def thinned(self, batch: Segmented) -> Segmented:
         """Return the frames to write, up to the one before the newest; possibly none."""
         whole = batch if self._held is None else _joined(self._held, batch)
-        seen = _content(whole.frames, self._slots)
+        # As bits, NaN equals itself.
+        seen = np.concatenate(
+            [
+                whole.frames.values[:, self._slots].view(np.int64),
+                whole.frames.status[:, self._slots],
+            ],
+            axis=1,
+        )
         changed = np.full(len(seen), self._is_kept)
         changed[1:] = (seen[1:] != seen[:-1]).any(axis=1)
         changed[1:] |= np.diff(whole.segments) != 0
         kept = changed | (whole.frames.ticks % LEAST_EVERY == 0)
         kept[:-1] |= changed[1:]
-        self._is_kept, kept[-1] = bool(kept[-1]), False
+        self._is_kept = bool(kept[-1])
+        kept[-1] = False
         self._held = _some(whole, np.arange(len(kept)) == len(kept) - 1)
         return replace(_some(whole, kept), changes=batch.changes)
-
-
-def _content(frames: FrameBatch, slots: NDArray[np.intp]) -> NDArray[np.int64]:
-    """Return bits and status of the signals: as bits, NaN equals itself."""
-    return np.concatenate(
-        [frames.values[:, slots].view(np.int64), frames.status[:, slots]], axis=1
-    )
 
 
 def _joined(held: Segmented, batch: Segmented) -> Segmented:

@@ -36,12 +36,11 @@ class WriteBehind:
         buffer_bytes: int,
         check: Callable[[LogWriter], None] = lambda _: None,
     ) -> None:
-        self._next_writer, self._is_full, self._on_new_file = (
-            next_writer,
-            is_full,
-            on_new_file,
-        )
-        self._check, self._limit_bytes = check, buffer_bytes
+        self._next_writer = next_writer
+        self._is_full = is_full
+        self._on_new_file = on_new_file
+        self._check = check
+        self._limit_bytes = buffer_bytes
         self._items: deque[Item] = deque()
         self._held_bytes = 0
         self._news = threading.Condition()
@@ -126,7 +125,20 @@ class WriteBehind:
                     return
                 item = self._items.popleft() if self._items else None
             if item is not None:
-                self._write(item)
+                if isinstance(item, RecordedState):
+                    self._writer.add_state(item)
+                elif isinstance(item, Segmented):
+                    if self._is_full(self._writer):
+                        self._begin_next()
+                    self._writer.write(item)
+                    with self._news:
+                        self._held_bytes -= item.frames.n_bytes
+                        self._news.notify_all()
+                    self.written += len(item.frames)
+                elif isinstance(item, NextFile):
+                    self._begin_next()
+                else:
+                    self._writer.tell(item)
             now = time.monotonic()
             if now - flushed >= FLUSH_EVERY_S:
                 self._writer.flush()
@@ -135,22 +147,6 @@ class WriteBehind:
                 self._writer.sync()
                 self._check(self._writer)
                 synced = time.monotonic()
-
-    def _write(self, item: Item) -> None:
-        if isinstance(item, RecordedState):
-            self._writer.add_state(item)
-        elif isinstance(item, Segmented):
-            if self._is_full(self._writer):
-                self._begin_next()
-            self._writer.write(item)
-            with self._news:
-                self._held_bytes -= item.frames.n_bytes
-                self._news.notify_all()
-            self.written += len(item.frames)
-        elif isinstance(item, NextFile):
-            self._begin_next()
-        else:
-            self._writer.tell(item)
 
     def _begin_next(self) -> None:
         self._writer.close()

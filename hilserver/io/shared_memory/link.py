@@ -19,7 +19,8 @@ class SharedMemoryLink(Part):
     status: PeerStatus
 
     def __init__(self, config: SharedMemoryConfig, world: World) -> None:
-        self._config, self._world = config, world
+        self._config = config
+        self._world = world
         self.status = PeerStatus("memory", mode="shared memory")
         self._source = Source(
             config.driver,
@@ -40,7 +41,8 @@ class SharedMemoryLink(Part):
     async def start(self) -> None:
         """Make the file; FailedError if that is impossible."""
         inputs = self._inputs = SharedInputs(self._world.image.name, self._world.table)
-        self.status.endpoint, self.status.state = str(inputs.path), LinkState.CONNECTING
+        self.status.endpoint = str(inputs.path)
+        self.status.state = LinkState.CONNECTING
         every = self._world.tasks.every
         self._jobs = [
             every(
@@ -57,7 +59,8 @@ class SharedMemoryLink(Part):
             job.cancel()
         if self._inputs is not None:
             self._inputs.close()
-        self.status.connected, self.status.state = False, LinkState.STOPPED
+        self.status.connected = False
+        self.status.state = LinkState.STOPPED
 
     def _take(self, inputs: SharedInputs) -> None:
         values = inputs.news()

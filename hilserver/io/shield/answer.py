@@ -52,7 +52,8 @@ def _read(values: Any, slots: Any, place: int, otherwise: float) -> float:
 
 @inlined
 def _raw_imu(out: Any, values: Any, slots: Any) -> None:
-    g, degree = STANDARD_GRAVITY_M_S2, math.pi / 180.0
+    g = STANDARD_GRAVITY_M_S2
+    degree = math.pi / 180.0
     _signed(out, 9, _read(values, slots, ACCEL + 2, g) / g * 1e4)
     _signed(out, 11, -_read(values, slots, ACCEL + 1, 0.0) / g * 1e4)
     _signed(out, 13, _read(values, slots, ACCEL, 0.0) / g * 1e4)
@@ -66,9 +67,12 @@ def _fused_imu(out: Any, values: Any, slots: Any) -> None:
     half_roll = 0.5 * _read(values, slots, ANGLES, 0.0)
     half_pitch = 0.5 * _read(values, slots, ANGLES + 1, 0.0)
     half_yaw = 0.5 * _read(values, slots, ANGLES + 2, 0.0)
-    cr, sr = math.cos(half_roll), math.sin(half_roll)
-    cp, sp = math.cos(half_pitch), math.sin(half_pitch)
-    cy, sy = math.cos(half_yaw), math.sin(half_yaw)
+    cr = math.cos(half_roll)
+    sr = math.sin(half_roll)
+    cp = math.cos(half_pitch)
+    sp = math.sin(half_pitch)
+    cy = math.cos(half_yaw)
+    sy = math.sin(half_yaw)
     _signed(out, 9, (cr * cp * cy + sr * sp * sy) * 1e4)
     _signed(out, 11, (sr * cp * cy - cr * sp * sy) * 1e4)
     _signed(out, 13, (cr * sp * cy + sr * cp * sy) * 1e4)

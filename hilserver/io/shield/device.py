@@ -67,8 +67,11 @@ class Device:
     ) -> None:
         # silence after which enable is withdrawn; the host may change it
         self.limit_ns = round(config.stale_after_ms * 1e6)
-        self._config, self._status, self._source = config, status, source
-        self._max_rpm, self._apply = max_rpm, apply
+        self._config = config
+        self._status = status
+        self._source = source
+        self._max_rpm = max_rpm
+        self._apply = apply
         self._wheels = config.wheels
 
     def take(self, request: Request) -> None:
@@ -95,7 +98,10 @@ class Device:
         elif (
             ShieldCommand.LIGHTS_OFF <= command < ShieldCommand.LIGHTS_OFF + len(LIGHTS)
         ):
-            self._set_lights(request)
+            red, green, blue = request.payload[:3]
+            pattern = request.command - ShieldCommand.LIGHTS_OFF
+            colours = {"lights.red": red, "lights.green": green, "lights.blue": blue}
+            self._put(request, {"lights.command": pattern, **colours})
         elif command == ShieldCommand.UART_TIMEOUT:
             self._set_timeout(request)
         elif command != ShieldCommand.IMU_RAW:
@@ -151,12 +157,6 @@ class Device:
         }
         self._put(request, {"drive.enable": True, "control.mode": MODE_DUTY, **values})
 
-    def _set_lights(self, request: Request) -> None:
-        red, green, blue = request.payload[:3]
-        pattern = request.command - ShieldCommand.LIGHTS_OFF
-        colours = {"lights.red": red, "lights.green": green, "lights.blue": blue}
-        self._put(request, {"lights.command": pattern, **colours})
-
     def _put(self, request: Request | None, values: Mapping[str, object]) -> None:
         now_ns = time.monotonic_ns() if request is None else request.received_ns
         refused = self._source.write(values, now_ns).refused
@@ -175,7 +175,8 @@ class Device:
 
     def _store(self, request: Request) -> None:
         self._status.without_effect += 1
-        name, parameters = request.name, self._status.parameters
+        name = request.name
+        parameters = self._status.parameters
         if request.command in NUMBERS:
             number = self._number(request)
             if number is not None:

@@ -42,7 +42,10 @@ def open_pseudo_terminal(link: Path) -> SerialLine:
         path = Path(os.ttyname(host))
         _set_up(host)
         os.set_blocking(file, False)
-        _point(link, path)
+        link.parent.mkdir(parents=True, exist_ok=True)
+        made = link.with_name(f"{link.name}.{os.getpid()}.part")
+        made.symlink_to(path)
+        made.replace(link)
     except OSError as error:
         os.close(file)
         reason = (error.strerror or "refused").lower()
@@ -50,13 +53,6 @@ def open_pseudo_terminal(link: Path) -> SerialLine:
     finally:
         os.close(host)  # only a host keeps it open, so that its hang-up is seen
     return SerialLine(file, path, link)
-
-
-def _point(link: Path, path: Path) -> None:
-    link.parent.mkdir(parents=True, exist_ok=True)
-    made = link.with_name(f"{link.name}.{os.getpid()}.part")
-    made.symlink_to(path)
-    made.replace(link)
 
 
 def open_device(path: Path) -> SerialLine:

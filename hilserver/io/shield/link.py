@@ -45,8 +45,11 @@ class HostGains:
     """Applies the gains that a host sets to the plant's controller."""
 
     def __init__(self, world: World) -> None:
-        self._gate, self._image, self._table = world.gate, world.image, world.table
-        self._loop, self._period_s = world.robot.loop, world.robot.period_s
+        self._gate = world.gate
+        self._image = world.image
+        self._table = world.table
+        self._loop = world.robot.loop
+        self._period_s = world.robot.period_s
 
     def apply(self, k_p: float, k_i: float) -> None:
         """Latch gains [%/rpm], [%/(rpm s)] at the next tick; NaN: as configured.
@@ -79,7 +82,8 @@ class ShieldLink(Part):
         from hilserver.io.shield.answer import places  # noqa: PLC0415
         from hilserver.io.shield.wire import Memory, serve  # noqa: PLC0415
 
-        self._serve, self._memory = serve, Memory
+        self._serve = serve
+        self._memory = Memory
         self.status = status = ShieldStatus(NAME)
         self._source = Source(
             config.driver,
@@ -98,7 +102,9 @@ class ShieldLink(Part):
         self.grants: list[
             AuditFinding
         ] = []  # what the system granted to the thread of the line
-        self._config, self._world, self._image = config, world, world.image
+        self._config = config
+        self._world = world
+        self._image = world.image
         mechatronic = world.config.mechatronic
         body = mechatronic.enabled and mechatronic.sensors == "body"
         self._slots = np.array(
@@ -110,10 +116,12 @@ class ShieldLink(Part):
         self._stopping = threading.Event()
         self._line: SerialLine | None = None
         words = status.words
-        words[w.CRC], words[w.RAW] = config.variant == "crc", 1
+        words[w.CRC] = config.variant == "crc"
+        words[w.RAW] = 1
         words[w.BYTE] = BYTE_NS if config.pace else 0
         words[w.DELAY] = round(config.reply_delay_ms * 1e6)
-        words[w.PAUSE], words[w.IS_PTY] = PAUSE_NS, config.device is None
+        words[w.PAUSE] = PAUSE_NS
+        words[w.IS_PTY] = config.device is None
         words[w.LIMIT] = self.device.limit_ns
 
     @property
@@ -151,7 +159,8 @@ class ShieldLink(Part):
         os.close(self._doorbell)
         if self._line is not None:  # None if it was lost
             self._line.close()
-        self.status.connected, self.status.state = False, LinkState.STOPPED
+        self.status.connected = False
+        self.status.state = LinkState.STOPPED
 
     def _opened(self) -> SerialLine:
         if self._config.device is not None:
@@ -181,7 +190,8 @@ class ShieldLink(Part):
 
     def _run(self) -> None:
         self.grants = request_for_this_thread(self._realtime)
-        image, n = self._image, self._image.n_slots
+        image = self._image
+        n = self._image.n_slots
         memory = self._memory(
             self.status.words,
             self._slots,
@@ -248,16 +258,11 @@ class ShieldLink(Part):
     def _look(self) -> None:
         # requests that waited while the event loop stood are not silence
         self._take_requests()
-        status, now_ns = self.status, time.monotonic_ns()
+        status = self.status
+        now_ns = time.monotonic_ns()
         status.connected = bool(status.words[w.CONNECTED]) and self._line is not None
         status.state = LinkState.CONNECTED if status.connected else LinkState.CONNECTING
-        self._note_counters(now_ns)
-        self._source.staleness.limit_ns = status.words[w.LIMIT] = self.device.limit_ns
-        if self._source.watch(now_ns) is Transition.LOST:
-            status.enabled = False
-
-    def _note_counters(self, now_ns: int) -> None:
-        """Report what the thread has counted since the last look."""
+        # What the thread has counted since the last look.
         for kind, word, text in (
             (
                 ShieldFault.SKIPPED_BYTES,
@@ -279,6 +284,9 @@ class ShieldLink(Part):
             if count > self._seen.get(kind, 0):
                 self._seen[kind] = count
                 self._source.faults.report(kind, "line", text, now_ns)
+        self._source.staleness.limit_ns = status.words[w.LIMIT] = self.device.limit_ns
+        if self._source.watch(now_ns) is Transition.LOST:
+            status.enabled = False
 
 
 def parts(world: World) -> Iterator[ShieldLink]:
