@@ -51,7 +51,7 @@ def main() -> int:
 
 def commands(examples: Path, work: Path) -> Iterator[list[str]]:
     """Yield the command lines, after ``python -m``, that compile what the examples need."""
-    start = ["hilserver.commands.compiled_start", str(os.getpid())]
+    start = ["hilserver.commands.compiled_start", "--alone", str(os.getpid())]
     yield start
     beside = work / "beside_others.yaml"  # a daemon may run on this computer
     beside.write_text(ANY_PORT, encoding="utf-8")

@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
             from hilserver.program import compiling  # noqa: PLC0415
 
             children = compiling.in_children(
-                compiled_start.commands(args), announcer.compiling
+                lambda: compiled_start.commands(args), announcer.compiling
             )
             telling = compiling.telling(lambda name: announcer.compiling([name]))
             with reported_by(announcer.warn), children, telling, announcer.patient():

@@ -101,8 +101,10 @@ class QuickInternalServer(InternalServer):  # type: ignore[misc]
         shelf, name = Shelf(SHELF), f"standard_nodes-{version('asyncua')}.pickle"
         kept = shelf.get(name)
         if kept is not None:
-            self.aspace._nodes = Nodes(pickle.loads(kept))  # noqa: S301 - whole, and our own
-            return
+            # another version of ours may have kept them in another form
+            with contextlib.suppress(Exception):
+                self.aspace._nodes = Nodes(pickle.loads(kept))  # noqa: S301 - whole, and our own
+                return
         with _no_collection():
             await super().load_standard_address_space(shelf_file)
             _share(self.aspace._nodes)

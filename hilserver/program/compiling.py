@@ -48,15 +48,16 @@ def telling(tell: Callable[[str], None]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def in_children(
-    commands: Sequence[Sequence[str]], tell: Callable[[Sequence[str]], None]
+    commands: Callable[[], Sequence[Sequence[str]]],
+    tell: Callable[[Sequence[str]], None],
 ) -> Iterator[None]:
     """Run `commands` before anything is compiled in the block; what they keep is not compiled here.
 
     Parameters
     ----------
-    commands : sequence of sequence of str
-        The `main` of each is `as_child`. They run once, and only if something is not in the cache.
-        The first one compiles all, the others help.
+    commands : callable
+        Called once, when something is not in the cache, for the command lines to run. The `main` of
+        each is `as_child`; the first one compiles all, the others help.
     tell : callable
         Called every second, and at each report, with the functions whose compilation begins.
     """
@@ -71,7 +72,8 @@ def in_children(
 
 
 def _run(
-    commands: Sequence[Sequence[str]], tell: Callable[[Sequence[str]], None]
+    commands: Callable[[], Sequence[Sequence[str]]],
+    tell: Callable[[Sequence[str]], None],
 ) -> None:
     """Run children until the first has ended; if it fails, we do its work and meet its errors."""
     quiet = {
@@ -80,12 +82,12 @@ def _run(
         "start_new_session": True,
     }
     with contextlib.ExitStack() as begun, selectors.DefaultSelector() as reports:
-        for command in commands:
+        for number, command in enumerate(commands()):
             child = begun.enter_context(
                 children.piped([*command, str(os.getpid())], name="compiler", **quiet)
             )
             assert child.stdout is not None
-            reports.register(child.stdout, selectors.EVENT_READ, command is commands[0])
+            reports.register(child.stdout, selectors.EVENT_READ, number == 0)
         is_first_done = False
         while not is_first_done:
             tell([])

@@ -1,13 +1,15 @@
 """A server's standard nodes: read from disk they are those that asyncua builds."""
 
 import asyncio
+import pickle
 import tracemalloc
 
 import pytest
 from asyncua import ua
 
+from hilserver.cache import Shelf
 from hilserver.opcua.server import HardenedServer
-from hilserver.opcua.standard_nodes import QuickInternalServer
+from hilserver.opcua.standard_nodes import SHELF, QuickInternalServer
 
 ROOT, TYPES = ua.NodeId(ua.ObjectIds.RootFolder), ua.NodeId(ua.ObjectIds.TypesFolder)
 PROGRAM = ua.NodeId(ua.ObjectIds.ProgramStateMachineType)
@@ -109,6 +111,12 @@ async def test_equal_attributes_take_memory_once_and_values_of_variables_are_the
 async def test_a_damaged_file_is_written_anew(built, file):
     file.write_bytes(built[2][:-100])
     assert described(await loaded()) == built[0]
+    assert file.read_bytes() == built[2]
+
+
+async def test_what_another_version_has_kept_is_written_anew(built, file):
+    Shelf(SHELF).put(file.name, pickle.dumps({"nodes": 1}))
+    assert len((await loaded()).aspace._nodes) == len(built[0])
     assert file.read_bytes() == built[2]
 
 

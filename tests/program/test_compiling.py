@@ -19,7 +19,8 @@ if len(sys.argv) > 2:
 else:
     of_child, own = [], []
     child = [sys.executable, *([__file__, 'child'] if sys.argv[1] == 'works' else ['absent.py'])]
-    with compiling.telling(own.append), compiling.in_children([child, child], of_child.extend):
+    asked = lambda: [child, child]
+    with compiling.telling(own.append), compiling.in_children(asked, of_child.extend):
         main()
     print(json.dumps([of_child, own]))
 """
