@@ -52,6 +52,21 @@ def test_two_causes_stand_for_one_that_is_far_too_large(drawn):
     assert ("lure", "swapped") in {(row.cause, row.action) for row in found.rows}
 
 
+@pytest.mark.parametrize(
+    ("share", "causes"),
+    [(0.97, ["nav_scale", "rotation_gain"]), (0.6, ["surface_change"])],
+)
+def test_what_acts_on_the_whole_floor_is_no_part_of_it(share, causes):
+    """A region of nearly all places was named for a rotation gain and a slip at once."""
+    rng = np.random.default_rng(2)
+    turn, ahead = (30.0 * toy.smooth(rng, N) for _ in range(2))
+    on_part = np.where(np.arange(N) % 100 < 100 * share, turn + ahead, 0.0)
+    columns = {"rotation_gain": turn, "nav_scale": ahead, "surface_change": on_part}
+    truth = turn + ahead if share > 0.9 else on_part
+    found = selected(0.6 * truth + rng.normal(size=N), columns)
+    assert sorted(found.point.model.causes) == causes
+
+
 def test_what_alone_explains_the_data_stays_whatever_its_size(drawn):
     noise, columns = drawn
     found = selected(0.6 * columns["lure"] + noise, columns)
