@@ -128,7 +128,7 @@ def attempt(
 def both_at_once(problem: Problem, point: Point, library: Library) -> Point:
     """Return a model with the causes that an accepted one may stand for, replacing or joining it.
 
-    It is unchanged unless one of these is clearly better.
+    It is unchanged unless one of these is clearly better, or simpler and as good.
     """
     for index, cause in enumerate(point.model.causes):
         traits = traits_of(cause)
@@ -145,9 +145,13 @@ def both_at_once(problem: Problem, point: Point, library: Library) -> Point:
         for model in tried:
             trial = fit(problem, model, point, iterations=12)
             more = _weight(model) - _weight(point.model)
-            saved = point.deviance - trial.deviance
-            clear = saved > SELECTION_LEAST_SAVED + TIE * more
-            if clear and physical(trial) and holds(problem, point, trial):
+            saved = point.deviance - trial.deviance - TIE * more
+            if more > 0:
+                better = saved > SELECTION_LEAST_SAVED and holds(problem, point, trial)
+            else:  # simpler: as good is enough
+                harms = ModelExchange(problem, point, trial).harms
+                better = saved > 0.0 and not harms
+            if better and physical(trial):
                 return trial
     return point
 

@@ -27,7 +27,7 @@ LURE = {"lure": 0.05}
 
 def selected(values, columns):
     problem = toy.problem(values, columns)
-    library, base = toy.library(problem, prior=LURE)
+    library, base = toy.library(problem, hidden={"surface_change": 2}, prior=LURE)
     rng = np.random.default_rng(0)
     return select(problem, library, base, rng)
 
@@ -54,7 +54,11 @@ def test_two_causes_stand_for_one_that_is_far_too_large(drawn):
 
 @pytest.mark.parametrize(
     ("share", "causes"),
-    [(0.97, ["nav_scale", "rotation_gain"]), (0.6, ["surface_change"])],
+    [
+        (1.0, ["nav_scale", "rotation_gain"]),
+        (0.97, ["nav_scale", "rotation_gain"]),
+        (0.6, ["surface_change"]),
+    ],
 )
 def test_what_acts_on_the_whole_floor_is_no_part_of_it(share, causes):
     """A region of nearly all places was named for a rotation gain and a slip at once."""
