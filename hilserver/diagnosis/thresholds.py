@@ -137,6 +137,15 @@ SELECTION_LEAST_SAVED: Final = 8.0  # deviance that a cause must save on held-ou
 # prior deviations that no machine exceeds (specification)
 SELECTION_PLAUSIBLE_SD: Final = 4.0
 
+# share of the best trial's gain from which another shape is worth a search
+PROMISING: Final = 0.5
+# variance of whitened residuals that is the noise model's own error
+NOISE_ERROR: Final = 1.1
+# times the loss of an ordinary block: where a robot nearly missed an edge, none counts for more
+FAR_OFF: Final = 3.0
+# standard errors over the blocks beyond which a held-out error has clearly grown (specification)
+CLEARLY_SE: Final = 2.0
+
 # Rivals and superfluous causes
 RIVAL_COSINE: Final = 0.6  # |cos| from which a cause is tried in place of another
 GROUP_COSINE: Final = 0.95  # |cos| from which two causes form a group (specification)
@@ -172,6 +181,9 @@ STRETCHES: Final = 8
 COMPARE_LEVEL: Final = 0.01  # family-wise error (specification)
 # share of a difference by which it may exceed what is possible
 COMPARE_INEXACT: Final = 0.2
+
+# Outliers of a position
+LEAST_OUTLIERS: Final = 0.004  # share of the positions; fewer have no name
 
 # Intervals and sizes
 # deviations above the critical value: about 83 % exceed it

@@ -53,6 +53,9 @@ class Traits:
     # causes that it may stand for if both act: swapping single causes does not lead from it to
     # them
     together: tuple[str, ...] = ()
+    # causes that together do on the whole floor what it does on a part: both at once look like a
+    # part that holds nearly all of the drive, and swapping single causes does not lead to them
+    everywhere: tuple[str, ...] = ()
     # if found in an input, the log does not show when that changed
     hides_inputs: bool = False
 
@@ -88,7 +91,11 @@ TRAITS: Final[Mapping[str, Traits]] = MappingProxyType({
     "icr_offset": Traits(needs=(Need.POSITION,)),
     "wheel_misalignment": Traits(needs=(Need.POSITION,)),
     "floor_slope": Traits(needs=(Need.POSITION, Need.PLACE)),
-    "surface_change": Traits(needs=(Need.POSITION, Need.PLACE), of_a_place=True),
+    "surface_change": Traits(
+        needs=(Need.POSITION, Need.PLACE),
+        of_a_place=True,
+        everywhere=("rotation_gain", "nav_scale"),
+    ),
     "friction_anisotropy": Traits(
         not_judged="in steady turns it has the same effect as rotation_gain and icr_offset"
     ),

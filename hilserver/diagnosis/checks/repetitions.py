@@ -187,7 +187,7 @@ def held(channel: Channel, runs: Runs, changes: Array) -> RunFault | None:
     if full.sum() < FEWEST_CHANGES:
         return None
     length, duration = runs.length[full], runs.duration_s[full]
-    if np.mean(length >= 2) < HELD_SHARE or _follow(channel, runs.first[full], changes):
+    if np.mean(length >= 2) < HELD_SHARE or _follow(channel, runs.first, changes):
         return None
     low, middle, high = np.quantile(length, [0.1, 0.5, 0.9])
     if middle < 2:
@@ -221,13 +221,22 @@ def _on_a_clock(periods: Array, row: float) -> bool:
 
 
 def _follow(channel: Channel, first: Indices, changes: Array) -> bool:
-    """Return whether the steps respond to single set-points, which are themselves held long."""
-    if len(changes) < 2 or len(changes) > 1.5 * len(first):
+    """Return whether a channel changes only in response to single set-points, held long.
+
+    Parameters
+    ----------
+    first : ndarray of int
+        Where its runs begin, those after small steps, too: a wheel on its way makes many.
+    """
+    if len(changes) < 2 or len(first) > 1.5 * len(changes):
         return False
-    at = along(channel)[first]
-    index = np.clip(np.searchsorted(changes, at + 1e-6, side="right") - 1, 0, None)
-    after = at - changes[index]
-    return bool(np.mean((after >= -1e-6) & (after < 0.1)) > 0.5)
+    at = along(channel)
+    index = np.searchsorted(changes, at + 1e-6, side="right") - 1
+    after_s = at - changes[np.clip(index, 0, None)]
+    soon = (after_s >= -1e-6) & (after_s < 0.1)
+    # where set-points come all the time, every sample is soon after one
+    by_chance = float(soon.mean())
+    return bool(soon[first].mean() > 0.5 * (1.0 + by_chance))
 
 
 def _fresh(channel: Channel, begins: Mask, period_s: float) -> Mask:

@@ -8,7 +8,7 @@ import numpy as np
 
 from hilserver.arrays import Array
 from hilserver.diagnosis.catalogue.candidate import Candidate
-from hilserver.diagnosis.decide.promise import CLEARLY_SE, ModelExchange
+from hilserver.diagnosis.decide.promise import ModelExchange
 from hilserver.diagnosis.decide.trial import Trial, cost, possible
 from hilserver.diagnosis.regression.columns import Library
 from hilserver.diagnosis.regression.fitting import fit, fit_without
@@ -16,6 +16,7 @@ from hilserver.diagnosis.regression.linear import basis, cosine, orthogonal
 from hilserver.diagnosis.regression.problem import Point, Problem, apart
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.thresholds import (
+    CLEARLY_SE,
     GROUP_COSINE,
     INEXACT,
     LEAST_GAIN,

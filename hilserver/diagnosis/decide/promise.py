@@ -1,7 +1,5 @@
 """What no step may make worse: the error at the end of free runs on held-out blocks."""
 
-from typing import Final
-
 import numpy as np
 from scipy import stats
 
@@ -14,10 +12,11 @@ from hilserver.diagnosis.regression.gain import (
 )
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.schema.decisions import Action, Decision
-from hilserver.diagnosis.thresholds import EFFECTIVE_LEVEL, NEGLIGIBLE
-
-CLEARLY_SE: Final = 2.0
-"""Standard errors over the blocks beyond which an error has clearly grown (specification)."""
+from hilserver.diagnosis.thresholds import (
+    CLEARLY_SE,
+    EFFECTIVE_LEVEL,
+    NEGLIGIBLE,
+)
 
 
 class ModelExchange:

@@ -128,32 +128,36 @@ def attempt(
 def both_at_once(problem: Problem, point: Point, library: Library) -> Point:
     """Return a model with the causes that an accepted one may stand for, replacing or joining it.
 
-    It is unchanged unless one of these is clearly better.
+    It is unchanged unless one of these is clearly better, or simpler and as good.
     """
-    causes = point.model.causes
-    index, both = next(
-        ((i, both) for i, c in enumerate(causes) if (both := traits_of(c).together)),
-        (0, ()),
-    )
-    missing = [
-        c for c in library.candidates if c.cause in both and c.cause not in causes
-    ]
-    if not missing:
-        return point
-    in_its_place = Model(
-        tuple(Fitted(c, beginning_for(point.model.fitted[index], c)) for c in missing)
-    )
-    beside = Model(tuple(Fitted(c, c.beginning) for c in missing))
-    for others, new in (
-        (point.model.without(index), in_its_place),
-        (point.model, beside),
-    ):
-        trial = fit(problem, Model((*others.fitted, *new.fitted)), point, iterations=12)
-        least = SELECTION_LEAST_SAVED + TIE * (len(trial.model.fitted) - len(causes))
-        saved = point.deviance - trial.deviance
-        if saved > least and physical(trial) and holds(problem, point, trial):
-            return trial
+    for index, cause in enumerate(point.model.causes):
+        traits = traits_of(cause)
+        wanted = {*traits.together, *traits.everywhere} - set(point.model.causes)
+        missing = [c for c in library.candidates if c.cause in wanted]
+        if not missing:
+            continue
+        own, others = point.model.fitted[index], point.model.without(index).fitted
+        new = [Fitted(c, beginning_for(own, c)) for c in missing]
+        tried = [Model((*others, *new))]
+        if traits.together:
+            beside = [Fitted(c, c.beginning) for c in missing]
+            tried.append(Model((*point.model.fitted, *beside)))
+        for model in tried:
+            trial = fit(problem, model, point, iterations=12)
+            more = _weight(model) - _weight(point.model)
+            saved = point.deviance - trial.deviance - TIE * more
+            if more > 0:
+                better = saved > SELECTION_LEAST_SAVED and holds(problem, point, trial)
+            else:  # simpler: as good is enough
+                harms = ModelExchange(problem, point, trial).harms
+                better = saved > 0.0 and not harms
+            if better and physical(trial):
+                return trial
     return point
+
+
+def _weight(model: Model) -> int:
+    return sum(f.candidate.weight for f in model.fitted)
 
 
 def select(
@@ -239,8 +243,7 @@ def _detour(selected: Selected) -> frozenset[str]:
 def _simpler(problem: Problem, point: Point, other: Point) -> bool:
     """Return whether a model has fewer causes, no more parameters, and predicts as well."""
     (few, small), (many, large) = (
-        (len(m.fitted), sum(f.candidate.weight for f in m.fitted))
-        for m in (other.model, point.model)
+        (len(m.fitted), _weight(m)) for m in (other.model, point.model)
     )
     return (
         0 < few < many
@@ -274,7 +277,7 @@ def _cost(problem: Problem, selected: Selected, noise: Noises) -> float:
     point = fit(
         problem.under(*noise), selected.point.model, selected.point, iterations=2
     )
-    return point.deviance + sum(TIE * f.candidate.weight for f in point.model.fitted)
+    return point.deviance + TIE * _weight(point.model)
 
 
 def _forward(

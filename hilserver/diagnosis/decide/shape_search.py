@@ -12,14 +12,14 @@ from hilserver.diagnosis.catalogue.traits import traits_of
 from hilserver.diagnosis.decide.trial import Trial, cost, possible
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.problem import Point, Problem
+from hilserver.diagnosis.thresholds import (
+    FAR_OFF,
+    NOISE_ERROR,
+    PROMISING,
+)
 
-# share of the best trial's gain from which another shape is worth a search
-PROMISING: Final = 0.5
-# variance of whitened residuals that is the noise model's own error
-NOISE_ERROR: Final = 1.1
 FIRST_STRIDE, LAST_STRIDE = 0.4, 0.004
 OF_A_CLOCK: Final = 2e-5  # the last stride of what adds up along the log
-FAR_OFF: Final = 3.0  # times the loss of an ordinary block
 SHIFTS_M = (0.6, 0.3, 0.15, 0.08, 0.04, 0.02)
 
 

@@ -35,13 +35,16 @@ from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.schema.evidence import FittedTerm
 from hilserver.diagnosis.schema.findings import Finding, Gain, Parameter, Verdict
-from hilserver.diagnosis.thresholds import FEWEST_EVENTS, NEGLIGIBLE
+from hilserver.diagnosis.thresholds import (
+    FEWEST_EVENTS,
+    LEAST_OUTLIERS,
+    NEGLIGIBLE,
+)
 from hilserver.measured.channels import POSITION, SETPOINTS
 from hilserver.measured.names import signal_unit
 
 # half the interval of a step found in the spectrum, by the step
 COARSE_SHARE: Final = 0.002
-LEAST_OUTLIERS: Final = 0.004  # share of the positions
 
 
 def parameters(problem: Problem, point: Point) -> dict[int, dict[str, Parameter]]:

@@ -22,7 +22,7 @@ def test_a_row_is_of_a_cause_and_points_to_causes(cause):
     assert row != Traits(), "a row that says nothing"
     for name in (row.scrubs_as, row.field):
         assert not name or part_of(name).name == name
-    for name in (row.mirrored_by, *row.together):
+    for name in (row.mirrored_by, *row.together, *row.everywhere):
         assert not name or cause_of(name).name == name
     if row.mirrored_by:
         assert part_of(row.mirrored_by).unit == part_of(cause).unit

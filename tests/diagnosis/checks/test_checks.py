@@ -284,6 +284,31 @@ def test_swapped_sides(table, sign):
     assert log[SPEEDS[2]].values == pytest.approx(columns[SPEEDS[2]])
 
 
+@pytest.mark.parametrize("rate_hz", [43.0, 22.0])
+def test_held_speeds_of_a_wheel_whose_large_steps_follow_its_setpoints(rate_hz):
+    """Its held speeds were taken for responses to single set-points, and the encoder for slow."""
+    rng = np.random.default_rng(8)
+    t = np.arange(3000) / 100.0
+    sent = np.repeat(rng.uniform(-80.0, 80.0, 60), 50)
+    n = np.zeros(len(t))
+    for k in range(1, len(t)):
+        n[k] = n[k - 1] + 0.15 * (sent[k - 1] - n[k - 1])
+    group = np.floor(t * rate_hz + 0.3)
+    seen = (n + 0.1 * rng.standard_normal(len(t)))[np.searchsorted(group, group)]
+    columns = {SENT[0]: sent, SPEEDS[0]: 0.1 * np.round(10.0 * seen)}
+    cause, value, channels, _ = fault(t, columns)
+    assert (cause, channels) == ("held_samples", {SPEEDS[0]})
+    assert value.value == pytest.approx(rate_hz, rel=0.03)
+
+
+def test_a_coarse_speed_that_jumps_with_every_setpoint_is_not_held():
+    """Most jumps are large beside a step of the encoder, but by far not all."""
+    t = np.arange(3000) / 20.0
+    sent = np.repeat(np.random.default_rng(9).uniform(-80.0, 80.0, 300), 10)
+    columns = {SENT[0]: sent, SPEEDS[0]: 5.0 * np.round(np.roll(sent, 1) / 5.0)}
+    assert check(log_of(t, columns), ROBOT).findings == ()
+
+
 @pytest.mark.parametrize(
     ("names", "rate_hz"), [(SPEEDS, 4.0), (("imu.gyro_z_rad_s",), 10.0)]
 )

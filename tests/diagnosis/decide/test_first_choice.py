@@ -27,7 +27,7 @@ LURE = {"lure": 0.05}
 
 def selected(values, columns):
     problem = toy.problem(values, columns)
-    library, base = toy.library(problem, prior=LURE)
+    library, base = toy.library(problem, hidden={"surface_change": 2}, prior=LURE)
     rng = np.random.default_rng(0)
     return select(problem, library, base, rng)
 
@@ -50,6 +50,25 @@ def test_two_causes_stand_for_one_that_is_far_too_large(drawn):
     assert sorted(found.point.model.causes) == ["a", "b"]
     assert found.point.model.theta() == pytest.approx([0.6, 0.6], abs=0.1)
     assert ("lure", "swapped") in {(row.cause, row.action) for row in found.rows}
+
+
+@pytest.mark.parametrize(
+    ("share", "causes"),
+    [
+        (1.0, ["nav_scale", "rotation_gain"]),
+        (0.97, ["nav_scale", "rotation_gain"]),
+        (0.6, ["surface_change"]),
+    ],
+)
+def test_what_acts_on_the_whole_floor_is_no_part_of_it(share, causes):
+    """A region of nearly all places was named for a rotation gain and a slip at once."""
+    rng = np.random.default_rng(2)
+    turn, ahead = (30.0 * toy.smooth(rng, N) for _ in range(2))
+    on_part = np.where(np.arange(N) % 100 < 100 * share, turn + ahead, 0.0)
+    columns = {"rotation_gain": turn, "nav_scale": ahead, "surface_change": on_part}
+    truth = turn + ahead if share > 0.9 else on_part
+    found = selected(0.6 * truth + rng.normal(size=N), columns)
+    assert sorted(found.point.model.causes) == causes
 
 
 def test_what_alone_explains_the_data_stays_whatever_its_size(drawn):
