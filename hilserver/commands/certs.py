@@ -23,7 +23,7 @@ from cryptography import x509
 from hilserver.commands.options import add_config, config_path
 from hilserver.config.root import load_config
 from hilserver.config.server import OpcUaConfig
-from hilserver.errors import EXIT_DONE, EXIT_FAILED, FailedError
+from hilserver.errors import EXIT_DONE, EXIT_FAILED, FailedError, UsageError
 from hilserver.opcua.certificate import (
     application_uris,
     common_name,
@@ -147,7 +147,7 @@ def _make(
         hosts = hosts or host_names(old)
         key = make_key() if args.new_key else key
     if args.days < 1:
-        raise FailedError("--days: a certificate must be valid for at least one day")
+        raise UsageError("--days: a certificate must be valid for at least one day")
     uri = config.application_uri or default_application_uri()
     certificate = make_certificate(key, uri, hosts, days=args.days)
     # The key first: a certificate without its key would be refused at the next start.

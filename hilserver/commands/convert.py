@@ -12,7 +12,7 @@ import argparse
 from pathlib import Path
 
 from hilserver.commands.options import add_mapping, add_storage, warn
-from hilserver.errors import EXIT_DONE, FailedError, LogError, reason
+from hilserver.errors import EXIT_DONE, FailedError, LogError, UsageError, reason
 from hilserver.exchange.trajectories import WRITERS, on_common_times, trajectories_of
 from hilserver.logs import Log
 from hilserver.logs.bag_writer import Storage
@@ -46,9 +46,9 @@ def run(args: argparse.Namespace) -> int:
     """Convert; 0, or 2 when IN cannot be read."""
     is_bag = args.bag or args.out.suffix == ""
     if args.format and args.bag:
-        raise FailedError("--bag writes all signals, --format the poses: choose one")
+        raise UsageError("--bag writes all signals, --format the poses: choose one")
     if not args.format and not is_bag and args.out.suffix not in SUFFIXES:
-        raise FailedError(
+        raise UsageError(
             f"{args.out}: end the name in {', '.join(SUFFIXES)}, or in no suffix for a bag"
         )
     if args.out.exists():

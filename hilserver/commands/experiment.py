@@ -11,7 +11,7 @@ from typing import Final
 
 from hilserver.commands.options import add_mapping, warn
 from hilserver.diagnosis.output import write_files
-from hilserver.errors import EXIT_DONE, FailedError
+from hilserver.errors import EXIT_DONE, FailedError, UsageError
 from hilserver.experiment import tables
 from hilserver.experiment.drive import RECORDING, as_it_was, body_of, record, robot_of
 from hilserver.experiment.gaps import BesideModels, beside_models
@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
     """Drive, compare and write the report; return 0, or 2 if the recording cannot be read."""
     if args.name is None and args.measured is not None:
         names = ", ".join(EXPERIMENTS)
-        raise FailedError(f"{args.measured}: name its experiment, too: one of {names}")
+        raise UsageError(f"{args.measured}: name its experiment, too: one of {names}")
     if args.name is None:
         for known in EXPERIMENTS.values():
             print(f"{known.name:8}{known.title}")

@@ -24,7 +24,7 @@ from hilserver.commands.observing import (
 from hilserver.commands.options import add_config, add_mapping, add_out, add_patch, warn
 from hilserver.commands.patching import assembled
 from hilserver.config.observer import constants_of, load_found
-from hilserver.errors import EXIT_DONE, ConfigError, FailedError
+from hilserver.errors import EXIT_DONE, ConfigError, FailedError, UsageError
 from hilserver.logs import Log
 from hilserver.logs.writing import check_suffix, write_log
 from hilserver.measured.frames import Sampling
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     """Observe; return 0, 1 if it cannot be smoothed, or 2 if the log cannot be read."""
     check_suffix(args.out)
     if args.out.exists() and args.log.exists() and args.out.samefile(args.log):
-        raise FailedError(f"{args.out}: is the log itself; choose another file")
+        raise UsageError(f"{args.out}: is the log itself; choose another file")
     assembly = assembled(args)
     robot = assembly.robot
     found = None if args.findings is None else load_found(args.findings)

@@ -19,7 +19,7 @@ from hilserver.commands.options import (
     warn,
 )
 from hilserver.config.root import load_config
-from hilserver.errors import EXIT_DONE, FailedError
+from hilserver.errors import EXIT_DONE, UsageError
 from hilserver.io.recorder import Recorder, Settings
 from hilserver.program.ending import on_end
 
@@ -99,11 +99,11 @@ def run(args: argparse.Namespace) -> int:
     """Record until Ctrl-C, SIGTERM, ``--duration`` or the end of the daemon."""
     rotates = args.rotate_mb is not None or args.rotate_s is not None
     if args.keep is not None and not rotates:
-        raise FailedError(
+        raise UsageError(
             "--keep counts the files of a rotation; give --rotate-mb as well"
         )
     if args.format == "bag" and rotates:
-        raise FailedError(
+        raise UsageError(
             "a bag is one folder; leave out --rotate-mb, or record to .mcap"
         )
     recorder = Recorder(
@@ -140,5 +140,5 @@ def _image(args: argparse.Namespace) -> str:
         return str(args.image)
     name = load_config(config_path(args)).image.name
     if name == "auto":
-        raise FailedError("image.name is 'auto'; name the process image with --image")
+        raise UsageError("image.name is 'auto'; name the process image with --image")
     return name

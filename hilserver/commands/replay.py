@@ -29,6 +29,7 @@ from hilserver.errors import (
     ConfigError,
     FailedError,
     LogError,
+    UsageError,
     UserError,
     reason,
 )
@@ -104,9 +105,9 @@ def run(args: argparse.Namespace) -> int:
     """Replay; return 0, or 1 if ``--check`` finds a difference."""
     check_suffix(args.out)
     if args.between is not None and args.require is None:
-        raise FailedError("--between says what --require judges: give a file with it")
+        raise UsageError("--between says what --require judges: give a file with it")
     if args.out.exists() and args.log.exists() and args.out.samefile(args.log):
-        raise FailedError(
+        raise UsageError(
             f"{args.out}: is the log itself; choose another file for the replay"
         )
     log, assembly = _open(args)

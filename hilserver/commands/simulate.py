@@ -19,7 +19,7 @@ from hilserver.commands.options import (
 )
 from hilserver.commands.patching import assembled
 from hilserver.daemon.assembly import Assembly
-from hilserver.errors import EXIT_DONE, EXIT_FAILED, FailedError, reason
+from hilserver.errors import EXIT_DONE, EXIT_FAILED, FailedError, UsageError, reason
 from hilserver.faults.scenario import Play, load_scenario
 from hilserver.logs.writing import check_suffix
 from hilserver.monitoring.logging_setup import setup_logging
@@ -61,9 +61,9 @@ def run(args: argparse.Namespace) -> int:
     """Simulate; return 0, or 1 if a requirement is not met."""
     if args.scenario.suffix not in SCENARIOS:
         if args.duration is not None:
-            raise FailedError("--duration is for a scenario; a log has its own length")
+            raise UsageError("--duration is for a scenario; a log has its own length")
         if args.require is not None:
-            raise FailedError("--require needs a scenario; it does not judge logs")
+            raise UsageError("--require needs a scenario; it does not judge logs")
         return replay.run(
             argparse.Namespace(**vars(args), **replay.AS_INPUTS, log=args.scenario)
         )

@@ -11,7 +11,7 @@ from contextlib import closing
 from pathlib import Path
 
 from hilserver.commands.options import PROCESSES, add_config
-from hilserver.errors import EXIT_DONE, FailedError
+from hilserver.errors import EXIT_DONE, FailedError, UsageError
 from hilserver.monitoring.logging_setup import setup_logging
 from hilserver.program.progress import Progress
 from hilserver.sweep.batch import rig_for
@@ -83,9 +83,9 @@ def run(args: argparse.Namespace) -> int:
         print(compare(*(read_table(folder) for folder in args.compare)))
         return EXIT_DONE
     if args.sweep is None:
-        raise FailedError("name a sweep, or two finished ones with --compare")
+        raise UsageError("name a sweep, or two finished ones with --compare")
     if args.out is None and not args.dry_run:
-        raise FailedError("name a folder for the results with -o")
+        raise UsageError("name a folder for the results with -o")
     if args.out is not None and args.out.exists() and not args.out.is_dir():
         raise FailedError(f"{args.out}: is a file; name a folder for the results")
     setup_logging("ERROR")
@@ -108,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _only(prepared: PreparedSweep, index: int, out: Path) -> int:
     if not 0 <= index < prepared.sweep.machines:
-        raise FailedError(
+        raise UsageError(
             f"--only {index}: machines are 0 .. {prepared.sweep.machines - 1}"
         )
     folder = out / f"machine-{index}"

@@ -15,7 +15,6 @@ from hilserver.body.engine import BodyEngine
 from hilserver.body.parameters import BodyParameters
 from hilserver.compiled import kernel_hash
 from hilserver.config.loading import place
-from hilserver.config.mechatronic import BODY_PERIOD_MS
 from hilserver.config.patch import Patch
 from hilserver.config.root import Config, without_passwords
 from hilserver.errors import ConfigError
@@ -55,12 +54,15 @@ class Assembly:
 
     @property
     def body(self) -> BodyParameters:
-        """The robot's body, whether or not the mechatronic model runs.
+        """The robot's body as others describe it, whether or not the mechatronic model runs.
 
         ConfigError if it could not stand.
         """
+        slice_s = self.robot.period_s
+        # a description takes no steps, so none may be too long for its tyres
+        section = self.config.mechatronic.changed(step_ms=slice_s)
         try:
-            return self.config.mechatronic.body(self.robot, BODY_PERIOD_MS * 1e-3)
+            return section.body(self.robot, slice_s)
         except PlantError as error:
             key, _, why = str(error).partition(": ")
             where = place(self.path, key.split("."))

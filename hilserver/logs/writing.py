@@ -7,7 +7,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from hilserver.errors import FailedError, reason
+from hilserver.errors import FailedError, UsageError, reason
 from hilserver.logs.bag_writer import BagWriter, Storage
 from hilserver.logs.csv_writer import CsvWriter, changes_path, meta_path
 from hilserver.logs.log import Log
@@ -77,6 +77,6 @@ def forget(path: Path) -> None:
 def check_suffix(path: Path) -> None:
     """Refuse a suffix that is not one of our formats."""
     if path.suffix not in SUFFIXES:
-        raise FailedError(
+        raise UsageError(
             f"{path}: the name of a log must end in {' or '.join(SUFFIXES)}"
         )

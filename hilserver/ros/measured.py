@@ -44,6 +44,8 @@ class Conventions:
     frame: str  # in which poses count
     base: str  # frame of the robot itself
     joints: Mapping[str, str] = field(default_factory=dict)  # wheel by name of a joint
+    # each joint turns what are two wheels of the plant, front and rear
+    is_on_one_axle: bool = False
     # why something was not taken
     remarks: dict[str, None] = field(default_factory=dict)
     # of joint states, until all four have come
@@ -58,6 +60,8 @@ class Conventions:
         frame: str,
         base: str,
         joints: Mapping[str, str],
+        *,
+        is_on_one_axle: bool = False,
     ) -> "Conventions":
         """Return those of a robot program.
 
@@ -66,9 +70,10 @@ class Conventions:
         """
         if flavour == "eduard":
             reversed_ = dict.fromkeys(MOTORS, -1.0)
-            return cls(reversed_, reversed_, frame, base, joints)
+            return cls(reversed_, reversed_, frame, base, joints, is_on_one_axle)
         forward = {wheel: 1.0 if wheel.endswith("l") else -1.0 for wheel in WHEELS}
-        return cls(dict.fromkeys(array_order, 1.0), forward, frame, base, joints)
+        arrays = dict.fromkeys(array_order, 1.0)
+        return cls(arrays, forward, frame, base, joints, is_on_one_axle)
 
     def counts(self, frame: str) -> bool:
         """Whether poses in a frame count; one without a name does."""
@@ -84,15 +89,20 @@ class Conventions:
         """Note why something was not taken, for whoever tells it."""
         self.remarks[sentence] = None
 
-    def wheel_of(self, joint: str) -> str | None:
-        """Return the wheel that a joint turns, by its name."""
-        if joint in self.joints:
-            return self.joints[joint]
+    def wheels_of(self, joint: str) -> list[str]:
+        """Return the wheels that a joint turns, by its name; empty if it turns none."""
         words = set(re.split("[^a-z]+", joint.lower()))
+        named = [self.joints[joint]] if joint in self.joints else []
         for wheel, place in PLACES.items():
             if wheel in words or words.issuperset(place.split("_")):
-                return wheel
-        return None
+                named.append(wheel)
+        if not self.is_on_one_axle:
+            return named[:1]
+
+        sides = [wheel[-1] for wheel in named]
+        if "wheel" in words:
+            sides += [side[0] for side in ("left", "right") if side in words]
+        return [f"f{sides[0]}", f"r{sides[0]}"] if sides else []
 
     def gather(self, speeds: Values) -> Values:
         """Keep speeds of single wheels; return those of all four once each has come again."""
@@ -173,8 +183,7 @@ def joints(how: Conventions, message: Any) -> Values:
         )
     speeds: Values = {}
     for name, rad_s in zip(message.name, message.velocity, strict=True):
-        wheel = how.wheel_of(name)
-        if wheel is not None:
+        for wheel in how.wheels_of(name):
             speeds[f"wheel.{wheel}.speed_rpm"] = (
                 how.joint_signs[wheel] * rad_s * RPM_PER_RAD_S
             )

@@ -76,6 +76,14 @@ def test_a_robot_on_one_axle_has_two_wheels_and_castors(tmp_path):
     assert [float(c) for c in place] == pytest.approx([0.03, 0.08, 0.033])
 
 
+def test_a_description_needs_no_step_that_suits_its_tyres(tmp_path):
+    """A Husky's would take shorter ones, and a plant of another period others."""
+    husky = "plant: {wheel_radius_m: 0.165, track_m: 0.55, wheelbase_m: 0.512}"
+    slow = "scheduler: {slices: {plant: 5}}"
+    for text in (husky, slow):
+        assert "base_to_wheel_front_left" in written(tmp_path, "urdf", text)
+
+
 @pytest.mark.parametrize(
     ("text", "mass_kg", "driven"),
     [("{}", 5.0, 4), (TURTLEBOT, 1.0, 2), ("plant: {drive: mecanum}", 5.0, 4)],

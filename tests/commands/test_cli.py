@@ -438,6 +438,36 @@ def test_a_word_too_many_is_named_with_the_usage_of_its_command(here, words, hin
 
 
 @pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        ("replay a.csv -o b.csv --between 1 2", "--between says what --require judges"),
+        ("replay a.csv -o a.csv", "a.csv: is the log itself"),
+        ("replay a.csv -o b.txt", "must end in .mcap or .csv"),
+        ("simulate a.csv -o b.csv --duration 1", "--duration is for a scenario"),
+        ("simulate a.csv -o b.csv --require r.yaml", "--require needs a scenario"),
+        ("simulate drive.yaml -o b", "must end in .mcap or .csv"),
+        ("sweep --dry-run", "name a sweep"),
+        ("sweep sweep.yaml", "name a folder for the results"),
+        ("experiment --measured m.yaml", "name its experiment, too"),
+        ("certs make --days 0", "--days: "),
+        ("record -o a.csv --keep 2", "--keep counts the files of a rotation"),
+        ("record -o a --format bag --rotate-s 9", "a bag is one folder"),
+        ("convert a.csv b.txt", "end the name in"),
+        ("observe a.csv -o a.csv", "is the log itself"),
+        ("run --record a.txt", "must end in .mcap or .csv"),
+    ],
+)
+def test_options_that_never_go_together_are_a_mistake_of_the_command_line(
+    here, tmp_path, words, complaint
+):
+    """Not what a script takes for a drive that has not met its requirements."""
+    (tmp_path / "a.csv").write_text("t_s,sim.tick\n0,0\n", encoding="utf-8")
+    code, _, said = here(*words.split())
+    assert complaint in said
+    assert code == 2
+
+
+@pytest.mark.parametrize(
     "words",
     [["check", "--schema"], ["signals", "-o"], ["fmu", "--platforms", "none", "-o"]],
 )

@@ -215,5 +215,5 @@ def test_mecanum_wheels_need_all_four_speeds(found, tmp_path, capsys):
 
 
 def test_the_log_itself_is_not_overwritten(drive, capsys):
-    assert main(["observe", str(drive[0]), "-o", str(drive[0])]) == 1
+    assert main(["observe", str(drive[0]), "-o", str(drive[0])]) == 2
     assert "is the log itself" in capsys.readouterr().err

@@ -76,11 +76,11 @@ def test_a_sweep_from_the_plan_to_the_worst_machine(capsys):
 @pytest.mark.parametrize(
     ("arguments", "code", "says"),
     [
-        (["--dry-run"], 1, "name a sweep"),
-        (["sweep.yaml"], 1, "name a folder for the results with -o"),
+        (["--dry-run"], 2, "name a sweep"),
+        (["sweep.yaml"], 2, "name a folder for the results with -o"),
         (["sweep.yaml", "-o", "course.yaml"], 1, "is a file"),
         (["none.yaml", "-o", "out"], 78, "no such file"),
-        (["sweep.yaml", "-o", "out", "--only", "20"], 1, "machines are 0 .. 19"),
+        (["sweep.yaml", "-o", "out", "--only", "20"], 2, "machines are 0 .. 19"),
         (["--compare", "out", "out"], 2, "contains no finished sweep"),
     ],
 )

@@ -170,11 +170,11 @@ def test_a_snapshot_of_another_time_is_named(replay_here, recorded, tmp_path):
 
 def test_what_cannot_be_replayed_is_one_sentence(replay_here, recorded, tmp_path):
     for words, code, complaint in (
-        ((recorded.full, "-o", recorded.full), 1, "is the log itself"),
+        ((recorded.full, "-o", recorded.full), 2, "is the log itself"),
         (("nothing.mcap", "-o", "a.csv"), 2, "no such file"),
         (
             (recorded.full, "-o", "a.txt"),
-            1,
+            2,
             "the name of a log must end in .mcap or .csv",
         ),
         (

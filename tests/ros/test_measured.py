@@ -30,8 +30,8 @@ WHEELS |= {"wheel.rr.speed_rpm": 4.0}
 RAD_S = math.tau / 60.0
 
 
-def how(flavour="iotbot_shield", frame="map", joints=None):
-    return Conventions.of(flavour, ORDER, frame, "base_link", joints or {})
+def how(flavour="iotbot_shield", frame="map", joints=None, **more):
+    return Conventions.of(flavour, ORDER, frame, "base_link", joints or {}, **more)
 
 
 def test_every_reading_gives_inputs_of_the_robot_and_has_a_type():
@@ -73,6 +73,24 @@ def test_joints_turn_forward_with_a_positive_sign_but_in_edu_robot():
             edu, joints(**{f"base_to_wheel_{place}": -rpm * RAD_S})
         )
     assert gathered == pytest.approx(WHEELS)
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "named"),
+    [
+        ("wheel_left_joint", "wheel_right_joint", {}),  # TurtleBot 3
+        ("left_wheel_joint", "right_wheel_joint", {}),  # iRobot Create 3
+        ("base_to_wheel_left", "base_to_wheel_right", {}),  # ours
+        ("front_left_wheel", "front_right_wheel", {}),
+        ("m0", "m1", {"m0": "rl", "m1": "fr"}),
+    ],
+)
+def test_two_joints_are_all_wheels_of_a_robot_on_one_axle(left, right, named):
+    message = joints(**{left: 2.0 * RAD_S, right: 3.0 * RAD_S}, camera_left=9.0)
+    found = measured.joints(how(joints=named, is_on_one_axle=True), message)
+    sides = {"fl": 2.0, "rl": 2.0, "fr": -3.0, "rr": -3.0}
+    speeds = {f"wheel.{wheel}.speed_rpm": rpm for wheel, rpm in sides.items()}
+    assert found == pytest.approx(speeds)
 
 
 def test_joints_that_name_no_wheel_are_told_and_can_be_named():

@@ -76,6 +76,7 @@ class RealRobot(Part):
             measured.frame.lstrip("/"),
             measured.base_frame.lstrip("/"),
             measured.joints,
+            is_on_one_axle=not world.shape.wheelbase_m,
         )
         self._topics = [
             _Topic(

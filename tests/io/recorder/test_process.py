@@ -140,25 +140,27 @@ def test_without_space_it_ends_with_one_sentence_and_a_readable_file(
 
 
 @pytest.mark.parametrize(
-    ("options", "complaint"),
+    ("code", "options", "complaint"),
     [
-        (["-o", "run.mcap", "--image", "nobody"], "no process image 'nobody'"),
+        (1, ["-o", "run.mcap", "--image", "nobody"], "no process image 'nobody'"),
         (
+            2,
             ["-o", "run.txt", "--image", "nobody"],
             "run.txt: the name of a log must end in .mcap or .csv",
         ),
         (
+            2,
             ["-o", "run.csv", "--keep", "2", "--image", "nobody"],
             "--keep counts the files of a",
         ),
     ],
 )
-def test_what_cannot_work_is_one_sentence(tmp_path, options, complaint):
+def test_what_cannot_work_is_one_sentence(tmp_path, code, options, complaint):
     command = [sys.executable, "-m", "hilserver", "record", *options]
     run = subprocess.run(
         command, capture_output=True, text=True, cwd=tmp_path, check=False
     )
-    assert run.returncode == 1
+    assert run.returncode == code
     assert len(run.stderr.splitlines()) == 1
     assert complaint in run.stderr
 
