@@ -147,7 +147,7 @@ def _ros2_control(answer: RobotAnswer) -> dict[str, str]:
         notes.append(
             f"icr_offset: put base_link {forward_m:.6g} m further forward in the URDF"
         )
-    notes += _limits(answer)
+    notes += [*_limits(answer), *_differs(answer)]
 
     real = _about(
         answer,
@@ -157,7 +157,6 @@ def _ros2_control(answer: RobotAnswer) -> dict[str, str]:
             for name, quantity in _quantities(robot).items()
         ),
         *notes,
-        *_differs(answer),
         *_covariances(answer),
     )
     simulated = _about(

@@ -134,7 +134,8 @@ def test_a_controller_with_unequal_radii_is_what_the_simulator_starts_from():
     configured = {"wheel_radius_difference": 0.02}
     found = answer(DIFFERENTIAL, {}, configured_difference=0.02)
     files = files_for(found, ("ros2_control",))
-    assert "multipliers" in files["ros2_control/real_robot.yaml"]
+    for name in ("real_robot", "simulator"):
+        assert "keep your two multipliers" in files[f"ros2_control/{name}.yaml"]
     today = files_for(answer(DIFFERENTIAL, configured), ("ros2_control",))
     now = DiffDrive(parameters(today, "real_robot.yaml"))
     simulator = DiffDrive(parameters(files, "simulator.yaml"))
