@@ -47,6 +47,10 @@ def run(args: argparse.Namespace) -> int:
     is_bag = args.bag or args.out.suffix == ""
     if args.format and args.bag:
         raise UsageError("--bag writes all signals, --format the poses: choose one")
+    if args.format and args.out.suffix:
+        raise UsageError(
+            f"{args.out}: will be a folder with a file for each pose; choose a name without suffix"
+        )
     if not args.format and not is_bag and args.out.suffix not in SUFFIXES:
         raise UsageError(
             f"{args.out}: end the name in {', '.join(SUFFIXES)}, or in no suffix for a bag"

@@ -9,7 +9,7 @@ import yaml
 from hilserver.config.patch import FittedIn
 from hilserver.diagnosis.findings.patch import MAX_NAMES
 from hilserver.diagnosis.schema.evidence import Diagnosis
-from hilserver.diagnosis.schema.findings import Findings
+from hilserver.diagnosis.schema.findings import Finding, Findings, Verdict
 from hilserver.exchange import (
     WRITTEN,
     DescribedRobot,
@@ -73,15 +73,38 @@ def _answer(diagnosis: Diagnosis, robot: RobotParameters, group: str) -> RobotAn
     if group and findings.groups:
         noise = findings.groups[group].noise
     noise_sd = {name: hypot(n.white_sd, n.ou_sd) for name, n in noise.items()}
-    return RobotAnswer(robot, tuple(terms), _valid(diagnosis), noise_sd)
+    others = [
+        _said(finding)
+        for finding in findings.findings
+        if finding.verdict != Verdict.DATA_FAULT
+        and not any(_is_of(i.name, finding) for i in diagnosis.evidence.extension)
+    ]
+    return RobotAnswer(
+        robot, tuple(terms), _valid(diagnosis), noise_sd, others=tuple(others)
+    )
 
 
 def _claim(findings: Findings, term: str) -> str:
     """Return verdict and members of the finding that a term belongs to."""
     for finding in findings.findings:
-        if term in finding.parameters or term.partition(".")[0] in finding.causes:
-            return f"{finding.verdict}: {' or '.join(finding.causes)}"
+        if _is_of(term, finding):
+            return _said(finding)
     return "fitted"
+
+
+def _is_of(term: str, finding: Finding) -> bool:
+    return term in finding.parameters or term.partition(".")[0] in finding.causes
+
+
+def _said(finding: Finding) -> str:
+    if not finding.causes:
+        return str(finding.verdict)
+    text = f"{finding.verdict}: {' or '.join(finding.causes)}"
+    if len(finding.causes) > 1:
+        text += (
+            ", which the log cannot separate; the numbers are right if it is the first"
+        )
+    return text
 
 
 def _valid(diagnosis: Diagnosis) -> str:

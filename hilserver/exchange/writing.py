@@ -10,7 +10,7 @@ from math import hypot
 from typing import Final
 
 from hilserver.exchange.geometry import HELD, DriveGeometry, for_simulator, patched
-from hilserver.exchange.ros2_control import differential_text, mecanum_text
+from hilserver.exchange.ros2_control import PROJECTION, differential_text, mecanum_text
 from hilserver.exchange.urdf import sdf_text, urdf_text
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.terms import TERMS
@@ -38,6 +38,7 @@ class RobotAnswer:
     noise_sd: Mapping[str, float] = field(default_factory=dict)
     # of the radii in the controller that the robot has now; `robot` has equal wheels
     configured_difference: float = 0.0
+    others: tuple[str, ...] = ()  # what was found beside the terms, in words
 
     @property
     def values(self) -> dict[str, float]:
@@ -103,8 +104,15 @@ def _about(answer: RobotAnswer, purpose: str, *notes: str) -> list[str]:
             f"{term.name} = {term.value:.6g} {row.unit} ({low_high}): {row.description};"
             f" {term.claim}"
         )
+    lines += [
+        f"Found, but in none of these numbers: {found}" for found in answer.others
+    ]
     if not answer.terms:
-        lines.append("Nothing was found: the numbers are those of the configuration.")
+        lines.append(
+            "Nothing was found: the numbers are those of the configuration."
+            if not answer.others
+            else "The numbers are those of the configuration; see the report."
+        )
     if answer.valid:
         lines.append(f"Valid for {answer.valid}")
     return [*lines, *notes]
@@ -125,9 +133,8 @@ def _ros2_control(answer: RobotAnswer) -> dict[str, str]:
     robot, true = answer.robot, DriveGeometry.of(answer.true)
     track_m, radius_m = robot.track_m, robot.wheel_radius_m
     simulator, gap = for_simulator(answer.configured, true)
-    if (
-        robot.is_mecanum
-    ):  # its controller has one radius, for all wheels and both directions
+    if robot.is_mecanum:
+        # its controller has one radius, for all wheels and both directions
         notes = _not_held(answer, HELD - {"wheel_radius_difference", "traction_slip"})
         gap = abs(true.left_m - true.right_m) / (true.left_m + true.right_m)
         real_text, simulator_text = mecanum_text(true), mecanum_text(simulator)
@@ -140,21 +147,15 @@ def _ros2_control(answer: RobotAnswer) -> dict[str, str]:
         notes.append(
             f"icr_offset: put base_link {forward_m:.6g} m further forward in the URDF"
         )
-    if answer.configured_difference and "wheel_radius_difference" not in answer.values:
-        notes.append(
-            f"The radii in your file differ by {answer.configured_difference:.3%}, which the log"
-            " did not show: if the report says that it could not, keep your two multipliers"
-        )
-    notes += _limits(answer)
+    notes += [*_limits(answer), *_differs(answer)]
 
     real = _about(
         answer,
         "For the real robot: with these its odometry is right. Not for a simulator.",
-        answer.interval(
-            "separation/wheel_separation", lambda g: g.separation_m / track_m
+        *(
+            answer.interval(name, quantity)
+            for name, quantity in _quantities(robot).items()
         ),
-        answer.interval("left radius/wheel_radius", lambda g: g.left_m / radius_m),
-        answer.interval("right radius/wheel_radius", lambda g: g.right_m / radius_m),
         *notes,
         *_covariances(answer),
     )
@@ -170,6 +171,23 @@ def _ros2_control(answer: RobotAnswer) -> dict[str, str]:
     return {
         "real_robot.yaml": _commented(real) + real_text,
         "simulator.yaml": _commented(simulated) + simulator_text,
+    }
+
+
+def _quantities(
+    robot: RobotParameters,
+) -> dict[str, Callable[[DriveGeometry], float]]:
+    """Return what a controller is told of the geometry, by name."""
+    if robot.is_mecanum:
+        return {
+            "wheels_radius": lambda g: g.radius_m,
+            PROJECTION.rpartition(".")[2]: lambda g: g.separation_m / 2.0,
+        }
+    track_m, radius_m = robot.track_m, robot.wheel_radius_m
+    return {
+        "separation/wheel_separation": lambda g: g.separation_m / track_m,
+        "left radius/wheel_radius": lambda g: g.left_m / radius_m,
+        "right radius/wheel_radius": lambda g: g.right_m / radius_m,
     }
 
 
@@ -192,6 +210,16 @@ def _limits(answer: RobotAnswer) -> list[str]:
             f" {rate_rpm_s * turned_rad:.6g}"
         )
     return lines
+
+
+def _differs(answer: RobotAnswer) -> list[str]:
+    """Return what to do with unequal radii of the user's file that the log did not show."""
+    if not answer.configured_difference or "wheel_radius_difference" in answer.values:
+        return []
+    return [
+        f"The radii in your file differ by {answer.configured_difference:.3%}, which the log did"
+        " not show: if the report says that it could not, keep your two multipliers"
+    ]
 
 
 def _covariances(answer: RobotAnswer) -> list[str]:

@@ -134,7 +134,8 @@ def test_a_controller_with_unequal_radii_is_what_the_simulator_starts_from():
     configured = {"wheel_radius_difference": 0.02}
     found = answer(DIFFERENTIAL, {}, configured_difference=0.02)
     files = files_for(found, ("ros2_control",))
-    assert "multipliers" in files["ros2_control/real_robot.yaml"]
+    for name in ("real_robot", "simulator"):
+        assert "keep your two multipliers" in files[f"ros2_control/{name}.yaml"]
     today = files_for(answer(DIFFERENTIAL, configured), ("ros2_control",))
     now = DiffDrive(parameters(today, "real_robot.yaml"))
     simulator = DiffDrive(parameters(files, "simulator.yaml"))
@@ -244,6 +245,9 @@ def test_mecanum_odometry_is_right_and_the_file_is_read_again(tmp_path):
     terms = {"wheel_radius": 0.04, "rotation_gain": -0.1}
     files = files_for(answer(MECANUM, terms), ("ros2_control",))
     given = parameters(files, "real_robot.yaml")
+    said = files["ros2_control/real_robot.yaml"]
+    assert "# wheels_radius 0.052 +- 0.0005 (95 %)" in said
+    assert "wheel_separation" not in said
     wheels = np.array([2.0, 3.0, 1.0, 4.0])
     real = rolled(rig(MECANUM, terms), wheels)
     assert mecanum_twist(given, wheels) == pytest.approx(real.velocity, abs=1e-12)
@@ -294,6 +298,13 @@ def test_covariances_follow_from_the_noise_of_the_wheels():
     side = (0.04 * 0.6 / RPM) ** 2
     assert diagonal[0] == pytest.approx(side / 2, rel=1e-2)
     assert diagonal[5] == pytest.approx(2 * side / 0.2**2, rel=1e-2)
+
+
+def test_what_was_found_but_is_no_term_is_not_nothing():
+    found = answer(DIFFERENTIAL, {}, others=("drift: rotation_gain",))
+    text = files_for(found, ("ros2_control",))["ros2_control/real_robot.yaml"]
+    assert "Found, but in none of these numbers: drift: rotation_gain" in text
+    assert "Nothing was found" not in text
 
 
 def test_limits_follow_from_the_wheels_and_what_they_are_asked():
