@@ -1,5 +1,6 @@
 """What a machine may use of its worker: limited time and memory, and no output."""
 
+import atexit
 import contextlib
 import os
 import resource
@@ -11,7 +12,8 @@ from pathlib import Path
 # extra time until the kernel ends a worker whose code cannot be interrupted
 GRACE_S = 5.0
 _SILENCE = Path(os.devnull).open("w", encoding="utf-8", errors="replace")  # noqa: SIM115
-"""Never closed: controllers may keep it, and overlapping threads may restore it."""
+"""Open to the end: controllers may keep it, and overlapping threads may restore it."""
+atexit.register(_SILENCE.close)
 
 
 class OutOfTime(BaseException):

@@ -47,7 +47,7 @@ class Worse(Explained):
 
 def test_no_patch_is_written_where_a_reported_quantity_is_worse(monkeypatch):
     """What is reported is the patch; what else predicts is nobody's."""
-    recipe = Recipe(seed=1, causes={"rotation_gain": -0.3}, duration_s=45.0)
+    recipe = Recipe(seed=1, causes={"rotation_gain": -0.3}, duration_s=20.0)
     log, assembly = measured(make(recipe)[0]), assemble(None)
     assert diagnose(log, assembly, jobs=1).evidence.extension
 

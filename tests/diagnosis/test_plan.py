@@ -151,7 +151,9 @@ def test_the_proposed_manoeuvre_separates_nav_latency_from_side_slip(planned):
     assert plan.proposed.duration_s <= 40.0
 
 
-@pytest.mark.parametrize("cause", ["nav_latency", "side_slip"])
+@pytest.mark.parametrize(
+    "cause", ["nav_latency", pytest.param("side_slip", marks=pytest.mark.long)]
+)
 def test_a_diagnosis_names_on_it_what_the_plan_promises(planned, cause):
     plan = document(planned)
     reference = next(

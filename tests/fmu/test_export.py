@@ -221,7 +221,7 @@ async def test_an_importer_in_c_gets_the_bits_too(fmu, tmp_path):
     assert np.array_equal(ours, copy, equal_nan=True)
 
 
-@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("version", [pytest.param(2, marks=pytest.mark.long), 3])
 def test_any_compiler_makes_the_same_of_its_sources(fmu, tmp_path, version):
     """With none of the options that the export compiles with, and no header but those of C."""
     alone = exported(tmp_path, version, "--platforms", "none")

@@ -230,7 +230,9 @@ def clock_back(t_s, columns):
     t_s[len(t_s) // 2 :] -= 20.0
 
 
-@pytest.mark.parametrize("lie", [stuck, not_there, jumping, clock_back])
+@pytest.mark.parametrize(
+    "lie", [stuck, not_there, pytest.param(jumping, marks=pytest.mark.long), clock_back]
+)
 def test_a_robot_that_lies_gets_no_patch(tmp_path, lie):
     table, _ = make(Recipe(seed=9, duration_s=60.0))
     lie(table.t_s, table.columns)

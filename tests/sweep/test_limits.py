@@ -1,6 +1,7 @@
 """What a controller prints goes nowhere, however blocks overlap and whatever it keeps."""
 
 import contextlib
+import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 
@@ -31,3 +32,9 @@ def test_an_output_that_a_controller_keeps_serves_for_the_next_machine(capsys):
         print("still here", file=kept, flush=True)
         print("and here", file=sys.stderr, flush=True)
     assert capsys.readouterr() == ("", "")
+
+
+def test_a_process_ends_without_a_warning_of_an_open_file():
+    command = [sys.executable, "-W", "always", "-c", "import hilserver.sweep.limits"]
+    ended = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "ResourceWarning" not in ended.stderr

@@ -54,7 +54,7 @@ async def test_the_right_controller_passes_and_planted_bugs_are_found():
 
 
 async def test_every_repeat_is_equal_however_the_test_steps():
-    ways = [(1500,), (1500,), (1500,), (7, 1, 41, 1451), (50,) * 30]
+    ways = [(1500,), (1500,), (7, 1, 41, 1451)]
     hashes = {bits for _, bits in await asyncio.gather(*(drive("", w) for w in ways))}
     assert len(hashes) == 1
 

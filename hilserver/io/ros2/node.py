@@ -418,6 +418,8 @@ class Ros2Node(Part):
         now_ns = time.monotonic_ns()
         if self._neighbours is not None:
             self._neighbours.look()
+        if self._replies is not None:
+            self._replies.send_waiting()
         self._hold(now_ns)
         self._see_lapse()
         if self._source.watch(now_ns) is Transition.LOST:

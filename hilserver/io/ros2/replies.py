@@ -11,8 +11,8 @@ import contextlib
 import socket
 import struct
 import time
-from collections import Counter
-from typing import Final
+from collections import Counter, deque
+from typing import Final, NamedTuple
 
 from hilserver.io.ros2.neighbours import Neighbours, RemoteEndpoint
 from hilserver.io.ros2.participant import Arrival, Out
@@ -25,6 +25,18 @@ _RELATED: Final = (0x0083, 0x800F)  # as the standard has it, and as Fast DDS 2 
 _SENTINEL: Final = struct.pack("<HH", 1, 0)
 _PREFIX: Final = 12  # bytes of a GUID that name the participant
 MOST_COUNTED: Final = 10_000
+MOST_WAITING: Final = 100
+KNOWN_WITHIN_S: Final = 2.0
+
+
+class _Reply(NamedTuple):
+    """A reply to a client whose reader is not known yet."""
+
+    end_s: float
+    service: Out
+    request: Arrival
+    number: int
+    cdr: bytes
 
 
 class Replies:
@@ -37,6 +49,7 @@ class Replies:
         self._asked: Counter[int] = Counter()  # requests by writer
         # replies by reader, each of which counts from 1
         self._sent: Counter[bytes] = Counter()
+        self._waiting: deque[_Reply] = deque(maxlen=MOST_WAITING)
 
     def number(self, request: Arrival) -> int:
         """Return the number that the client has given to a request; each is to be counted once."""
@@ -45,26 +58,50 @@ class Replies:
         self._asked[request.writer] += 1
         return self._asked[request.writer]
 
-    def send(self, service: Out, request: Arrival, number: int, cdr: bytes) -> bool:
-        """Reply to the client that has sent a request; False if it is gone."""
-        self._neighbours.look()  # a request may come before the last news of its client
-        client = self._neighbours.writers.get(request.writer)
-        neighbour = self._neighbours.participant_of(request.writer)
+    def send(self, service: Out, request: Arrival, number: int, cdr: bytes) -> None:
+        """Reply to the client that has sent a request, as soon as its reader is known."""
+        end_s = time.monotonic() + KNOWN_WITHIN_S
+        self._waiting.append(_Reply(end_s, service, request, number, cdr))
+        self.send_waiting()
+
+    def send_waiting(self) -> None:
+        """Send what can be sent, and give up what has waited for too long."""
+        if not self._waiting:
+            return
+        # A request may come before the news of its client, and of the reader that it has made.
+        self._neighbours.look()
+        now_s = time.monotonic()
+        left = [
+            reply
+            for reply in self._waiting
+            if not self._is_sent(reply) and reply.end_s > now_s
+        ]
+        self._waiting.clear()
+        self._waiting.extend(left)
+
+    def _is_sent(self, reply: _Reply) -> bool:
+        client = self._neighbours.writers.get(reply.request.writer)
+        neighbour = self._neighbours.participant_of(reply.request.writer)
         if client is None or neighbour is None:
             return False
         places = set(neighbour.addresses)
         if self._local:
             places = {("127.0.0.1", port) for _, port in places}
-        readers = self._neighbours.replies_to(service.subject.topic, client.participant)
+        topic = reply.service.subject.topic
+        readers = self._neighbours.replies_to(topic, client.participant)
         for reader in readers:
             self._sent[reader] += 1
             message = _message(
-                service.gid, reader, self._sent[reader], client, number, cdr
+                reply.service.gid,
+                reader,
+                self._sent[reader],
+                client,
+                reply.number,
+                reply.cdr,
             )
             for place in places:
-                with contextlib.suppress(
-                    OSError
-                ):  # not every address of it is within our reach
+                # not every address of it is within our reach
+                with contextlib.suppress(OSError):
                     self._socket.sendto(message, place)
         return bool(readers and places)
 

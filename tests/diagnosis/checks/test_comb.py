@@ -6,6 +6,14 @@ import pytest
 from hilserver.diagnosis.checks.comb import coarse_step, lattice
 
 
+def seeds(quick, count):
+    """Return that many seeds, of which the first few are tried in every run."""
+    others = [
+        pytest.param(seed, marks=pytest.mark.long) for seed in range(quick, count)
+    ]
+    return [*range(quick), *others]
+
+
 def speeds(seed, n=20_000):
     """Return four wheels' true speeds [rpm]: dwells at round and odd set-points, and ramps."""
     rng = np.random.default_rng(seed)
@@ -15,7 +23,7 @@ def speeds(seed, n=20_000):
     return [true + rng.normal(scale=0.05, size=n) for _ in range(4)], rng
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", seeds(2, 6))
 @pytest.mark.parametrize("about", [0.4, 0.5, 1.0, 3.0])
 def test_the_step_of_rounded_values_comes_out(about, seed):
     true, rng = speeds(seed)
@@ -26,7 +34,7 @@ def test_the_step_of_rounded_values_comes_out(about, seed):
     assert coarse_step(measured, true) == pytest.approx(step, rel=1e-3)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", seeds(3, 8))
 @pytest.mark.parametrize("noise", [0.0, 0.02, 0.12])
 def test_smooth_values_have_none(seed, noise):
     """Round set-points, and a recorder that keeps two decimals, are no steps of an encoder."""
@@ -35,7 +43,7 @@ def test_smooth_values_have_none(seed, noise):
     assert coarse_step(measured, true) is None
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", seeds(3, 8))
 def test_wheels_that_rest_at_few_speeds_have_none(seed):
     """A load keeps them from their set-points; of any few speeds some step is a divisor."""
     rng = np.random.default_rng(seed)

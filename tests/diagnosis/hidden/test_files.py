@@ -98,12 +98,18 @@ def each(logs, out, *words):
     }
 
 
-@pytest.mark.filterwarnings("ignore")  # of the cluster's own making
 def test_each_log_alone_whoever_does_the_work(logs, folder):
     alone = each(logs, folder / "one", "--jobs", "1")
     the_cause_is_named(read(folder / "one" / "friction"), "coulomb_friction")
     nothing_is_found(read(folder / "one" / "sound"))
     assert each(logs, folder / "two", "--jobs", "2") == alone
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore")  # of the cluster's own making
+def test_each_log_alone_on_a_cluster(logs, folder):
+    """In every run `test_many.py` asks a cluster for other work."""
+    alone = each(logs, folder / "one", "--jobs", "1")
     distributed = pytest.importorskip("distributed")
     options = {
         "n_workers": 1,

@@ -12,12 +12,15 @@ from reference.scenarios.judging import judge
     [
         ("surface_real", 0),
         ("surface_real", 1),
-        ("surface_real", 10),
-        ("surface_null", 10),
+        pytest.param("surface_real", 10, marks=pytest.mark.long),
+        pytest.param("surface_null", 10, marks=pytest.mark.long),
     ],
 )
 def test_the_floors_differ_where_they_do(name, seed):
-    """At seed 0 all runs restart the clock; at seed 1 the runs on one floor hardly scatter."""
+    """At seed 0 all runs restart the clock; at seed 1 the runs on one floor hardly scatter.
+
+    In every run `groups/test_floors.py` asks whether equal floors are found equal.
+    """
     logs, against = _logs(Staged(name, seed))
     findings = _findings(logs, against)
     judged = judge(SCENARIOS[name].draw(seed).expectation, findings)

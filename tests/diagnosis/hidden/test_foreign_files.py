@@ -1,6 +1,7 @@
 """Tables of other people, through the reading path: each hides a cause, and one way of recording.
 
-The cause comes out, beside it what is wrong with the file, and never a wrong name.
+The cause comes out, beside it what is wrong with the file, and never a wrong name. Units and held
+rows are read in every run by `tests/measured` and found by `tests/diagnosis/checks`.
 """
 
 import json
@@ -53,9 +54,11 @@ def in_rows_of_their_own(table):
 @pytest.mark.parametrize(
     ("spoil", "faults"),
     [
-        (in_degrees, set()),
+        pytest.param(in_degrees, set(), marks=pytest.mark.long),
         (with_one_wheel_turned, {"sign_flip"}),
-        (once_a_second_and_filled_forward, {"held_samples"}),
+        pytest.param(
+            once_a_second_and_filled_forward, {"held_samples"}, marks=pytest.mark.long
+        ),
         (in_rows_of_their_own, set()),
     ],
 )
