@@ -105,6 +105,16 @@ def squares(
     ) + "\n"
 
 
+def table(log: MeasuredLog) -> str:
+    """Return a log of squares as CSV with signal names as columns."""
+    names = tuple(log.channels)
+    first = log[names[0]]
+    rows = zip(first.t_s, first.span, *(log[n].values for n in names), strict=True)
+    lines = [f"t_s,segment,{','.join(names)}"]
+    lines += [",".join(f"{value:.5f}" for value in row) for row in rows]
+    return "\n".join(lines).replace(".00000,", ",") + "\n"
+
+
 def wheels(side_m: float, way: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the speeds of both wheels [rad/s] of a square that a perfect robot closes."""
 
