@@ -34,6 +34,9 @@ def test_a_log_and_its_marks_become_a_report(folder, capsys):
     assert [f["causes"] for f in found["findings"]] == [["wheel_radius_difference"]]
     patch = (folder / "out" / "model_patch.yaml").read_text()
     assert "wheel_radius_difference" in patch
+    report = (folder / "out" / "report.html").read_text()
+    assert report.count("dot simulated") == report.count("dot extended") == 6
+    assert "Where runs end" in report
 
 
 @pytest.mark.parametrize(

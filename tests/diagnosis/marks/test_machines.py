@@ -111,6 +111,12 @@ def test_where_a_run_ended_says_nothing_without_a_direction(tmp_path):
     assert any("in which direction" in notice for notice in found.notices)
 
 
+def test_marks_that_show_nothing_give_a_reason(tmp_path):
+    found = judged(tmp_path, Machine(track=1.01), Tape(sd_m=3.0), 1, runs=8)
+    assert found.findings == found.smallest == ()
+    assert "cannot show it" in found.reasons["rotation_gain"]
+
+
 def test_slip_grows_with_the_distance_and_widens_intervals(tmp_path):
     """The same marks on a slippery floor say less."""
     sizes = []
