@@ -46,6 +46,7 @@ class Tape:
     end_yaw: bool = False
     yaw_sd_rad: float = 0.02
     back: bool = False  # somebody steers the robot back onto its first mark
+    side: bool = False  # the length of the first side of each square is measured, too
 
 
 def squares(
@@ -70,6 +71,13 @@ def squares(
             )
             continue
         place, yaw = driven(machine, t_s, left, right, rng)
+        if tape.side:
+            corner_s = PAUSE_S + side_m / (RADIUS_M * WHEEL_RAD_S)
+            long_m = abs(place[round(corner_s / FINE_S)]) + rng.normal(0.0, tape.sd_m)
+            lines.append(
+                f"  - {{t_s: {begin_s + corner_s:.2f}, from_t_s: {begin_s},"
+                f" forward_m: {long_m:.4f}, sd_m: {tape.sd_m}}}"
+            )
         direction = rng.uniform(-np.pi, np.pi)
         ends = place[[0, -1]] * np.exp(1j * direction)
         ends += rng.normal(0.0, tape.sd_m, 2) + 1j * rng.normal(0.0, tape.sd_m, 2)
