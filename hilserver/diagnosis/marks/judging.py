@@ -15,6 +15,7 @@ from hilserver.diagnosis.marks.search import (
     BY_CHANCE,
     FEWEST_FREEDOM,
     FEWEST_MARKED_RUNS,
+    SIZE,
     MarksSearch,
     MarksTrial,
 )
@@ -45,6 +46,10 @@ BEYOND_MARKS: Final = (
 NO_DIRECTION: Final = (
     "are not used: they end near their first mark, and nobody knows in which direction; mark the"
     " heading in which they began (yaw_rad), or drive back onto the mark (same_as_t_s)"
+)
+A_SIDE: Final = (
+    "Measure a long straight part of the runs with the tape as well, and mark it (from_t_s with"
+    " forward_m)."
 )
 TOO_WEAK: Final = "hardly excited: the marks of these runs cannot show it"
 FOLDS: Final = 5
@@ -166,7 +171,10 @@ def findings_by_marks(search: MarksSearch, trial: MarksTrial) -> list[Finding]:
             newest = rival.model.fitted[-1]
             causes.append(newest.candidate.cause)
             values |= parameters_of(newest, search.limits(rival)[-1:])
-        found.append(fitted_finding(causes, values, BY_CHANCE, drifts=False))
+        finding = fitted_finding(causes, values, BY_CHANCE, drifts=False)
+        if SIZE in causes and len(causes) > 1:
+            finding = finding.model_copy(update={"separating_experiment": A_SIDE})
+        found.append(finding)
     return found
 
 

@@ -40,6 +40,7 @@ def test_a_wider_track_is_among_what_the_marks_leave_possible(tmp_path):
     assert len(found.findings) == 1
     assert "rotation_gain" in found.findings[0].causes
     assert "wheel_radius_difference" not in found.findings[0].causes
+    assert "forward_m" in found.findings[0].separating_experiment
 
 
 @pytest.mark.parametrize("seed", range(3))
