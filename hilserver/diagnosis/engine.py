@@ -177,7 +177,8 @@ def judge(
         notices=notices,
     )
     fitted_in = judgement.evidence.fitted.model_copy(update=dict(marks.ranges))
-    return replace(judgement, evidence=replace(judgement.evidence, fitted=fitted_in))
+    seen = replace(judgement.evidence, fitted=fitted_in, marked_ends=marks.ends)
+    return replace(judgement, evidence=seen)
 
 
 def _by_marks(member: Member, rng: np.random.Generator, tracker: Tracker) -> ByMarks:

@@ -84,6 +84,8 @@ def judge(
 
     def read_in(paths: Sequence[Path], name: str = "") -> MeasuredLog:
         found = read_measured(paths, task.mapping, sampling)
+        if task.marks is not None:
+            found = with_marks(found, task.marks)
         if say is not None:
             begin = f"{name}: " if name else ""
             say(begin + foretold(found, machine(found, assembly.robot)))
@@ -99,8 +101,6 @@ def judge(
             read, assembly, seed=task.seed, jobs=task.jobs, progress=progress
         )
     log = read_in(task.logs)
-    if task.marks is not None:
-        log = with_marks(log, task.marks)
     if task.against:
         other = read_measured(task.against, task.mapping, sampling)
         return compare(

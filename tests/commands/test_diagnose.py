@@ -164,6 +164,19 @@ def test_two_sets_are_compared(stages, capsys):
             ["--group", "a=a.csv", "--group", "b=b.csv", "c.csv", "-o", "o"],
             "cannot be combined",
         ),
+        (["a.csv", "--marks", "m.yaml", "--each", "-o", "o"], "--marks cannot be"),
+        (
+            ["a.csv", "--marks", "m.yaml", "--test", "b.csv", "-o", "o"],
+            "--marks cannot be",
+        ),
+        (
+            ["--marks", "m", "--compare", "a.csv", "--against", "b.csv", "-o", "o"],
+            "--marks cannot be",
+        ),
+        (
+            ["--marks", "m", "--group", "a=a.csv", "--group", "b=b.csv", "-o", "o"],
+            "--marks cannot be",
+        ),
     ],
 )
 def test_options_that_do_not_fit_are_a_sentence(

@@ -15,6 +15,7 @@ from hilserver.diagnosis.marks.search import (
     BY_CHANCE,
     FEWEST_FREEDOM,
     FEWEST_MARKED_RUNS,
+    SIZE,
     MarksSearch,
     MarksTrial,
 )
@@ -22,6 +23,7 @@ from hilserver.diagnosis.marks.slip import RandomSlip
 from hilserver.diagnosis.regression.stages import stages_of
 from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.replay.pose_stage import PoseStage
+from hilserver.diagnosis.schema.evidence import MarkedEnds
 from hilserver.diagnosis.schema.findings import Detectable, Finding, Gain
 from hilserver.measured.data import MeasuredLog
 from hilserver.plant.parameters import RobotParameters
@@ -45,6 +47,10 @@ NO_DIRECTION: Final = (
     "are not used: they end near their first mark, and nobody knows in which direction; mark the"
     " heading in which they began (yaw_rad), or drive back onto the mark (same_as_t_s)"
 )
+A_SIDE: Final = (
+    "Measure a long straight part of the runs with the tape as well, and mark it (from_t_s with"
+    " forward_m)."
+)
 TOO_WEAK: Final = "hardly excited: the marks of these runs cannot show it"
 FOLDS: Final = 5
 DRAWS: Final = 999
@@ -61,6 +67,7 @@ class ByMarks:
     reasons: dict[str, str] = field(default_factory=dict)
     gain: dict[str, Gain] = field(default_factory=dict)
     notices: tuple[str, ...] = ()
+    ends: MarkedEnds | None = None
     # lowest and highest speed and turn rate of the runs
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
@@ -124,8 +131,13 @@ def searched(
     runs, informing, candidates = search.runs, search.chosen, search.candidates
     nothing = search.trial(Model())
     shown = [one for one in candidates if search.shows(nothing, one)]
+    if not shown:
+        few = dict.fromkeys((c.cause for c in candidates), TOO_WEAK)
+        return ByMarks(reasons=reasons | few, notices=lost_runs(runs))
+
     search = replace(search, candidates=shown)
     trial = search.select()
+    model = trial.model
     found = findings_by_marks(search, trial)
     smallest = smallest_by_marks(search, trial)
     unseen = {c.cause for c in candidates} - {one.cause for one in smallest}
@@ -137,12 +149,13 @@ def searched(
             reasons.pop(cause, None)
     return ByMarks(
         tuple(found),
-        trial.model.fitted,
+        model.fitted,
         smallest,
         reasons,
         {"position_m": gain_by_marks(search, rng)},
         notices_of(search.level(trial)[0], len(informing), int(runs.freedom.sum()))
         + lost_runs(runs),
+        MarkedEnds(runs.ends({}), runs.ends(model.terms) if model.fitted else None),
         ranges_of(runs.stage),
     )
 
@@ -158,7 +171,10 @@ def findings_by_marks(search: MarksSearch, trial: MarksTrial) -> list[Finding]:
             newest = rival.model.fitted[-1]
             causes.append(newest.candidate.cause)
             values |= parameters_of(newest, search.limits(rival)[-1:])
-        found.append(fitted_finding(causes, values, BY_CHANCE, drifts=False))
+        finding = fitted_finding(causes, values, BY_CHANCE, drifts=False)
+        if SIZE in causes and len(causes) > 1:
+            finding = finding.model_copy(update={"separating_experiment": A_SIDE})
+        found.append(finding)
     return found
 
 

@@ -163,6 +163,27 @@ class MarkedRuns:
             [off.real, off.imag, -same.real, -same.imag, ahead, off_yaw, turned]
         )
 
+    def ends(self, terms: Mapping[str, float]) -> Array:
+        """Return where a model's runs end, seen from their marks [m], shape (n, 2).
+
+        Forward and to the left, as the robot stood when the run began; runs whose marks do not say
+        how it stood are left out.
+        """
+        here, there = np.split(self.poses_in(self.course(terms)), 2)
+        moved = (_complex(here) - _complex(there)) * np.exp(-1j * there[:, 2])
+        found = list(moved[self._same])
+        for run in range(len(self.marks)):
+            own = self._placed[self._run_of[self._placed] == run]
+            if len(own) < 2 or own[0] not in self._headings:
+                continue
+            first, last = own[0], own[-1]
+            driven = _complex(here)[last] - _complex(here)[first]
+            marked = self._marked[last] - self._marked[first]
+            off = driven * np.exp(-1j * here[first, 2])
+            found.append(off - marked * np.exp(-1j * self._yaw[first]))
+        ends = np.array(found, complex)
+        return np.stack([ends.real, ends.imag], axis=1)
+
     def _of_places(self, poses: Array) -> tuple[Array, Array]:
         """Return by how much absolute marks are missed if each run begins where it fits best."""
         run, of_heading = self._run_of[self._placed], self._run_of[self._headings]

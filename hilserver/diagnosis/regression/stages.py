@@ -107,6 +107,8 @@ def foretold(log: MeasuredLog, robot: RobotParameters) -> str:
             else:
                 cannot.append(f"its {words} ({need})")
         can.append(f"the motion by {', '.join(there)}")
+    elif log.marks:
+        can.append(f"the robot's dimensions by {len(log.marks)} marks")
     else:
         cannot.append(f"the motion ({missing['pose']})")
 

@@ -12,9 +12,15 @@ from markupsafe import Markup, escape
 
 from hilserver.diagnosis.findings.explain import QUANTITIES, explain_finding, number
 from hilserver.diagnosis.report import figures, tables, words
+from hilserver.diagnosis.report.marked_ends import marked_ends
 from hilserver.diagnosis.report.plain import plain
 from hilserver.diagnosis.report.time_series import improvement, series
-from hilserver.diagnosis.schema.evidence import ChannelSeries, Evidence, Path
+from hilserver.diagnosis.schema.evidence import (
+    ChannelSeries,
+    Evidence,
+    MarkedEnds,
+    Path,
+)
 from hilserver.diagnosis.schema.findings import Findings, Verdict
 from hilserver.diagnosis.thresholds import SCREEN_LEVEL
 
@@ -44,7 +50,9 @@ def render(findings: Findings, evidence: Evidence) -> str:
         The evidence for it; empty parts are left out.
     """
     gains = words.gains(findings)
-    drawn: tuple[ChannelSeries | Path, ...] = (*evidence.series, *evidence.paths)
+    drawn: list[ChannelSeries | Path | MarkedEnds] = [*evidence.series, *evidence.paths]
+    if evidence.marked_ends is not None:
+        drawn.append(evidence.marked_ends)
     extended = any(item.extended is not None for item in drawn)
     return (
         environment()
@@ -92,9 +100,10 @@ def _plots(evidence: Evidence) -> dict[str, Any]:
     is_changed = [
         s.extended is None or improvement(s) > 1 + LEAST_CHANGE for s in drawn
     ]
-    like = evidence.similarity
+    like, ends = evidence.similarity, evidence.marked_ends
     return {
         "paths": figures.paths(evidence.paths),
+        "ends": None if ends is None else marked_ends(ends),
         "changed": [series(s) for s, c in zip(drawn, is_changed, strict=True) if c],
         "same": [series(s) for s, c in zip(drawn, is_changed, strict=True) if not c],
         "horizons": figures.horizons(evidence.gain_by_horizon),

@@ -55,6 +55,15 @@ class Path:
 
 
 @dataclass(frozen=True, slots=True)
+class MarkedEnds:
+    """Where each model's runs end, seen from their marks on the floor [m]; shape (n, 2)."""
+
+    # forward and to the left, as the robot stood at the beginning of the run
+    simulated: Array
+    extended: Array | None
+
+
+@dataclass(frozen=True, slots=True)
 class CutRow:
     """Residual of a channel when the replay begins at a cut point: it shows the faulty block."""
 
@@ -130,6 +139,7 @@ class Evidence:
 
     series: tuple[ChannelSeries, ...] = ()
     paths: tuple[Path, ...] = ()
+    marked_ends: MarkedEnds | None = None
     cuts: tuple[CutRow, ...] = ()
     screen: tuple[ScreenRow, ...] = ()
     similarity: Similarity | None = None

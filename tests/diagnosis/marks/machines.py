@@ -46,6 +46,7 @@ class Tape:
     end_yaw: bool = False
     yaw_sd_rad: float = 0.02
     back: bool = False  # somebody steers the robot back onto its first mark
+    side: bool = False  # the length of the first side of each square is measured, too
 
 
 def squares(
@@ -70,6 +71,13 @@ def squares(
             )
             continue
         place, yaw = driven(machine, t_s, left, right, rng)
+        if tape.side:
+            corner_s = PAUSE_S + side_m / (RADIUS_M * WHEEL_RAD_S)
+            long_m = abs(place[round(corner_s / FINE_S)]) + rng.normal(0.0, tape.sd_m)
+            lines.append(
+                f"  - {{t_s: {begin_s + corner_s:.2f}, from_t_s: {begin_s},"
+                f" forward_m: {long_m:.4f}, sd_m: {tape.sd_m}}}"
+            )
         direction = rng.uniform(-np.pi, np.pi)
         ends = place[[0, -1]] * np.exp(1j * direction)
         ends += rng.normal(0.0, tape.sd_m, 2) + 1j * rng.normal(0.0, tape.sd_m, 2)
@@ -103,6 +111,16 @@ def squares(
     return MeasuredLog((source,), channels, tuple(spans), plant=PLANT), "\n".join(
         lines
     ) + "\n"
+
+
+def table(log: MeasuredLog) -> str:
+    """Return a log of squares as CSV with signal names as columns."""
+    names = tuple(log.channels)
+    first = log[names[0]]
+    rows = zip(first.t_s, first.span, *(log[n].values for n in names), strict=True)
+    lines = [f"t_s,segment,{','.join(names)}"]
+    lines += [",".join(f"{value:.5f}" for value in row) for row in rows]
+    return "\n".join(lines).replace(".00000,", ",") + "\n"
 
 
 def wheels(side_m: float, way: float) -> tuple[np.ndarray, np.ndarray]:

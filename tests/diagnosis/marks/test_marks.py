@@ -1,9 +1,13 @@
 """Squares whose start and end alone are known; the robot is computed here, without the plant."""
 
+import re
+from pathlib import Path
+
 import pytest
 
 from hilserver.diagnosis.engine import judge
 from hilserver.errors import LogError
+from hilserver.measured.floor_marks import FloorMark
 from hilserver.measured.marks import with_marks
 from hilserver.plant.parameters import RobotParameters
 from tests.diagnosis.marks.machines import Machine, Tape, squares
@@ -36,6 +40,7 @@ def test_a_wider_track_is_among_what_the_marks_leave_possible(tmp_path):
     assert len(found.findings) == 1
     assert "rotation_gain" in found.findings[0].causes
     assert "wheel_radius_difference" not in found.findings[0].causes
+    assert "forward_m" in found.findings[0].separating_experiment
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -68,3 +73,9 @@ def test_a_pose_shows_more_than_marks(tmp_path):
     posed = log.with_channels({"nav.x_m": log["wheel.fl.speed_rpm"]})
     with pytest.raises(LogError, match="has a pose of its own"):
         with_marks(posed, tmp_path / "marks.yaml")
+
+
+def test_the_documentation_has_all_keys_of_a_mark():
+    text = (Path(__file__).parents[3] / "docs" / "how-to" / "marks.md").read_text()
+    table = text[text.index("| key |") : text.index("A mark has exactly")]
+    assert set(re.findall("`([a-z_]+)`", table)) == set(FloorMark.model_fields)
