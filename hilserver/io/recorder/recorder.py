@@ -175,7 +175,8 @@ class Recorder:
         if counts != self._reported and now_s - self._reported_s > SAY_AGAIN_S:
             self._reported = counts
             self._reported_s = now_s
-            _say(f"{_losses(*counts)} so far")
+            text = f"hilserver: {_losses(*counts)} so far"
+            print(text, file=sys.stderr, flush=True)
 
     def _close(self) -> str:
         self._source.release_time()
@@ -199,7 +200,3 @@ def _losses(lost: int, dropped: int) -> str:
     if not lost and not dropped:
         return "none lost"
     return f"{lost} frames lost (read too late), {dropped} dropped (disk too slow)"
-
-
-def _say(text: str) -> None:
-    print(f"hilserver: {text}", file=sys.stderr, flush=True)
