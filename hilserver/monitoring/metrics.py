@@ -157,7 +157,7 @@ class _HilCollector(Collector):
         for source in self._sources:
             figures = source.figures()
             for metric in source.metrics:
-                rows = []
+                rows: list[Row] = []
                 for labels, value in metric.read(figures):
                     if value is None:
                         continue
