@@ -33,15 +33,7 @@ class QuickInternalServer(InternalServer):  # type: ignore[misc]
         with _no_collection():
             if not await asyncio.to_thread(self._read, path):
                 await super().load_standard_address_space(shelf_file)
-                # Equal attributes become one object, except values of variables, which may
-                # change.
-                pool: dict[bytes, Any] = {}
-                for node in self.aspace._nodes.values():
-                    for attribute, place in node.attributes.items():
-                        if attribute != ua.AttributeIds.Value:
-                            place.value = pool.setdefault(
-                                pickle.dumps(place.value), place.value
-                            )
+                _share(self.aspace._nodes)
                 await asyncio.to_thread(self._write, path)
 
     def _read(self, path: Path) -> bool:
@@ -82,6 +74,15 @@ class _Pickler(pickle.Pickler):
             if type(part) is AttributeValue
             else NotImplemented
         )
+
+
+def _share(nodes: Any) -> None:
+    """Make equal attributes one object, except values of variables, which may change."""
+    pool: dict[bytes, Any] = {}
+    for node in nodes.values():
+        for attribute, place in node.attributes.items():
+            if attribute != ua.AttributeIds.Value:
+                place.value = pool.setdefault(pickle.dumps(place.value), place.value)
 
 
 @contextlib.contextmanager
