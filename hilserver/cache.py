@@ -236,7 +236,8 @@ def whole(path: Path) -> bytes | None:
     except OSError:
         return None
     start = len(_MAGIC) + _DIGEST_BYTES
-    digest, data = kept[len(_MAGIC) : start], kept[start:]
+    digest = kept[len(_MAGIC) : start]
+    data = kept[start:]
     is_whole = kept.startswith(_MAGIC) and hashlib.sha256(data).digest() == digest
     return data if is_whole else None
 

@@ -36,7 +36,9 @@ class Period:
         clock: Callable[[], float] = time.monotonic,
         call_later: Callable[[float, Callable[[], None]], Handle] | None = None,
     ) -> None:
-        self._call, self._clock, self._call_later = call, clock, call_later
+        self._call = call
+        self._clock = clock
+        self._call_later = call_later
         self._handle: Handle | None = None
         self._period_s = self._due_s = 0.0
 

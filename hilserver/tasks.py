@@ -69,12 +69,14 @@ class SupervisedTask:
         lasting: bool = True,
         silent_after_s: float | None = None,
     ) -> None:
-        self.name, self.lasting = name, lasting
+        self.name = name
+        self.lasting = lasting
         self.why_down = ""  # why it does not run, although it should
         self.task: asyncio.Task[Any]
         self.done = False  # it has ended and does not begin again
         self.on_end: Callable[[], object] = lambda: None  # called then
-        self._supervisor, self._make = supervisor, make
+        self._supervisor = supervisor
+        self._make = make
         self._silent_after_s = silent_after_s
         self._is_cancelled = False
         self._pause_s = FIRST_PAUSE_S

@@ -61,7 +61,8 @@ class _Prolonging:
         self._wait, self._loop = wait, asyncio.get_running_loop()
         self._timer: asyncio.TimerHandle | None = None
         self._due_s = self._loop.time()
-        self._ends_s, self._last_s = self._due_s + limit_s, self._due_s + at_most_s
+        self._ends_s = self._due_s + limit_s
+        self._last_s = self._due_s + at_most_s
         self._look()
 
     def _look(self) -> None:

@@ -40,7 +40,17 @@ def run(args: argparse.Namespace) -> int:
         elif folders or base == configured_folder():
             _show(base, folders)
     if args.action == "show":
-        _show_supplied()
+        # What the installation brought along is no part of the cache.
+        from hilserver.compiled.cache import supplied  # noqa: PLC0415 - takes a second
+
+        sizes = list(_sizes(supplied().folder))
+        if sizes:
+            print(
+                f"{supplied().folder}: {_megabytes(sum(sizes))}, came with this installation"
+            )
+            print(
+                f"  {len(sizes)} files, used where the cache has nothing for this processor"
+            )
     return EXIT_DONE
 
 
@@ -69,20 +79,6 @@ def _show(base: Path, folders: list[Path]) -> None:
         )
     if not found:
         print("  nothing is kept")
-
-
-def _show_supplied() -> None:
-    """Say what the installation brought along, if it did: it is no part of the cache."""
-    from hilserver.compiled.cache import supplied  # noqa: PLC0415 - takes a second
-
-    sizes = list(_sizes(supplied().folder))
-    if sizes:
-        print(
-            f"{supplied().folder}: {_megabytes(sum(sizes))}, came with this installation"
-        )
-        print(
-            f"  {len(sizes)} files, used where the cache has nothing for this processor"
-        )
 
 
 def _clear(base: Path, folders: list[Path]) -> None:

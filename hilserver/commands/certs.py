@@ -106,7 +106,15 @@ def _add_folder(action: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Do one action."""
     if args.action == "password":
-        print(hash_password(_ask_password()))
+        if not sys.stdin.isatty():
+            password = sys.stdin.readline().rstrip("\n")
+        else:
+            password = getpass.getpass("password: ")
+            if getpass.getpass("again: ") != password:
+                raise FailedError("the two passwords differ")
+        if not password:
+            raise FailedError("the password is empty")
+        print(hash_password(password))
         return EXIT_DONE
     path = config_path(args)
     config = load_config(path).opcua
@@ -134,7 +142,8 @@ def _make(
     args: argparse.Namespace,
 ) -> int:
     own = trust.folder / "own"
-    certificate_path, key_path = own / "certificate.der", private_key or own / "key.pem"
+    certificate_path = own / "certificate.der"
+    key_path = private_key or own / "key.pem"
     hosts = args.host
     if args.action == "make":
         for path in (certificate_path, key_path):
@@ -163,18 +172,6 @@ def _hosts_of(config: OpcUaConfig) -> Sequence[str]:
     if config.host not in (*hosts, *_ANYWHERE):
         hosts.append(config.host)
     return hosts
-
-
-def _ask_password() -> str:
-    if not sys.stdin.isatty():
-        password = sys.stdin.readline().rstrip("\n")
-    else:
-        password = getpass.getpass("password: ")
-        if getpass.getpass("again: ") != password:
-            raise FailedError("the two passwords differ")
-    if not password:
-        raise FailedError("the password is empty")
-    return password
 
 
 # --- those of others ------------------------------------------------------------------------------

@@ -90,7 +90,8 @@ def describe(assembly: Assembly) -> list[str]:
 
 def _links(assembly: Assembly) -> Iterator[str]:
     for link in assembly.config.links:
-        driver, about = link.driver, link.about(assembly.folder)
+        driver = link.driver
+        about = link.about(assembly.folder)
         if driver.is_enabled:
             about += f", stale after {driver.limit_ms:g} ms: {driver.on_stale}"
         if about:

@@ -95,7 +95,9 @@ def run(args: argparse.Namespace) -> int:
         )
     for file in files:
         _write(file)
-    _make_folder(Path("/etc/hilserver/credentials"), 0o700)
+    path = Path("/etc/hilserver/credentials")
+    path.mkdir(parents=True, exist_ok=True)
+    path.chmod(0o700)
     _tell_system()
     print(
         f"installed; edit {config}, check it with 'hilserver check -c {config}', then"
@@ -191,11 +193,6 @@ def _write(file: File) -> None:
         what = (error.strerror or "not writable").lower()
         raise FailedError(f"cannot write {file.path}: {what}") from None
     print(f"written  {file.path}")
-
-
-def _make_folder(path: Path, mode: int) -> None:
-    path.mkdir(parents=True, exist_ok=True)
-    path.chmod(mode)
 
 
 def _tell_system() -> None:

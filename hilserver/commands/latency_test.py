@@ -7,7 +7,6 @@ the system grants. No simulation on this computer will be more punctual than thi
 import argparse
 import asyncio
 from dataclasses import asdict
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,9 +72,15 @@ def run(args: argparse.Namespace) -> int:
             "missed_ticks": missed,
             "audit": [asdict(item) for item in items],
         }
-        write_text(
-            args.json, as_json(_results(counts, figures.latency_max_ns / 1000, raw))
-        )
+        max_us = figures.latency_max_ns / 1000
+        results = [
+            Result(
+                f"wake_latency_p{percent:g}_us", percentile_us(counts, percent), "us"
+            )
+            for percent in PERCENTILES
+        ]
+        results = [*results, Result("wake_latency_max_us", max_us, "us", raw=raw)]
+        write_text(args.json, as_json(results))
     return EXIT_DONE
 
 
@@ -104,7 +109,8 @@ async def measure(
 
 def histogram_lines(counts: NDArray[np.int64]) -> list[str]:
     """Return the histogram as lines: range [us], count, bar on a logarithmic scale."""
-    lines, low = [], 0
+    lines = []
+    low = 0
     tallest = np.log1p(max(int(counts.max(initial=0)), 1) * 10.0)
     for high in _EDGES_US:
         count = int(counts[low:high].sum())
@@ -114,13 +120,3 @@ def histogram_lines(counts: NDArray[np.int64]) -> list[str]:
         lines.append(f"{span:17} us {count:>10} {bar}".rstrip())
         low = high
     return lines
-
-
-def _results(
-    counts: NDArray[np.int64], max_us: float, raw: dict[str, Any]
-) -> list[Result]:
-    results = [
-        Result(f"wake_latency_p{percent:g}_us", percentile_us(counts, percent), "us")
-        for percent in PERCENTILES
-    ]
-    return [*results, Result("wake_latency_max_us", max_us, "us", raw=raw)]

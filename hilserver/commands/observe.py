@@ -81,10 +81,12 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"{args.findings or args.config}: {error}") from None
     log = read_measured([args.log], args.mapping, Sampling.of(assembly.config))
     warn(*log.notices)
-    p, late_s = pack(robot), 0.0 if found is None else found.nav_late_s
+    p = pack(robot)
+    late_s = 0.0 if found is None else found.nav_late_s
     series = [series_of(log, span, robot, late_s) for span in range(len(log.spans))]
 
-    given, c = c, fitted(p, c, series)
+    given = c
+    c = fitted(p, c, series)
     courses = [run_filter(p, c, one) for one in series]
     times = mean_nis(courses)
     too_sure = times > MOST_NIS

@@ -38,7 +38,8 @@ class Observed:
     @property
     def signals(self) -> Array:
         """The signals estimate.*, shape (n, Shown.n_words)."""
-        out, m = self.course.shown.copy(), self.covariance
+        out = self.course.shown.copy()
+        m = self.covariance
         out[:, : BIAS + 1] = self.estimate[:, : BIAS + 1]
         out[:, YAW] = np.angle(np.exp(1j * self.estimate[:, YAW]))
         part = np.einsum("nii->ni", m)[:, : BIAS + 1]
@@ -62,7 +63,8 @@ class Observed:
 
     def off(self, xy: Array) -> Array:
         """Return how far a path is from the navigation at its samples [m], shape (n,)."""
-        t, known = self.series.wheels[:, 0], self.known
+        t = self.series.wheels[:, 0]
+        known = self.known
         if not known.any():
             return np.zeros(0)
         places = self.places[self.places[:, 0] >= t[known][0]]
@@ -74,9 +76,11 @@ class Observed:
 def dead_reckoning(p: Parameters, c: Array, one: Observed) -> Array:
     """Return the path by the wheels alone, from the first known pose; shape (n, 2)."""
     course = run_filter(p, c, MeasuredSeries(one.series.wheels, np.zeros((0, 4))))
-    x, first = course.estimate, int(np.argmax(one.known))
+    x = course.estimate
+    first = int(np.argmax(one.known))
     turn = one.course.estimate[first, YAW] - x[first, YAW]
-    cos, sin = math.cos(turn), math.sin(turn)
+    cos = math.cos(turn)
+    sin = math.sin(turn)
     away = x[:, :2] - x[first, :2]
     path: Array = one.course.estimate[first, :2] + away @ np.array(
         [[cos, sin], [-sin, cos]]
@@ -146,7 +150,8 @@ def sentences(p: Parameters, given: Array, c: Array, spans: Sequence[Observed]) 
         f" and {late} samples came too late.",
         _of_noise(given, c),
     ]
-    nis, n = mean_nis([one.course for one in known]), max(accepted, 1)
+    nis = mean_nis([one.course for one in known])
+    n = max(accepted, 1)
     half = 1.96 * math.sqrt(2.0 / (1.5 * n))
     fits = "as" if abs(nis - 1.0) <= half else "not what"
     lines.append(

@@ -95,7 +95,8 @@ async def _play(
     verdict: DriveJudge | None,
 ) -> None:
     period_s = assembly.base_period_ns * 1e-9
-    n_ticks, done = max(round(duration_s / period_s), 1), 0
+    n_ticks = max(round(duration_s / period_s), 1)
+    done = 0
 
     def stopped() -> str:
         return f"stopped after {done} of {n_ticks} ticks: {out} ends there"

@@ -165,25 +165,22 @@ class KeyDriver:
             elif event is Word.LOST_FOCUS:
                 self._hold.release_all()
             elif isinstance(event, Key):
-                self._press(event)
+                if not event.is_down:
+                    self._hold.release(event.name)
+                elif event.name in ("ctrl-c", "x"):
+                    self.ended.set()
+                elif event.name == " ":
+                    self._hold.release_all()
+                elif event.name in ("+", "-"):
+                    factor = STEP if event.name == "+" else 1 / STEP
+                    self._sizes = self._possible(
+                        {axis: size * factor for axis, size in self._sizes.items()}
+                    )
+                elif event.name.isdigit() and int(event.name) < len(LIGHTS):
+                    self._lights = int(event.name)
+                elif event.name in AXES:
+                    self._hold.press(event.name, time.monotonic())
         self._news.set()
-
-    def _press(self, key: Key) -> None:
-        if not key.is_down:
-            self._hold.release(key.name)
-        elif key.name in ("ctrl-c", "x"):
-            self.ended.set()
-        elif key.name == " ":
-            self._hold.release_all()
-        elif key.name in ("+", "-"):
-            factor = STEP if key.name == "+" else 1 / STEP
-            self._sizes = self._possible(
-                {axis: size * factor for axis, size in self._sizes.items()}
-            )
-        elif key.name.isdigit() and int(key.name) < len(LIGHTS):
-            self._lights = int(key.name)
-        elif key.name in AXES:
-            self._hold.press(key.name, time.monotonic())
 
     def _possible(self, sizes: Mapping[str, float]) -> dict[str, float]:
         """Return speeds that the robot accepts: one that is too fast would move nothing."""
@@ -217,7 +214,8 @@ class KeyDriver:
                 if held or was_held:
                     await self._write(self.command(held))
                 if self._lights is not None:
-                    lights, self._lights = self._lights, None
+                    lights = self._lights
+                    self._lights = None
                     colour = dict.fromkeys(
                         ("lights.red", "lights.green", "lights.blue"), 255
                     )
@@ -227,7 +225,16 @@ class KeyDriver:
                 self.complaint_ends = str(error)
                 return
             was_held = held
-            await self._rest(held)
+            # A key, the end of a hold or the next renewal.
+            now_s = time.monotonic()
+            end_s = self._hold.next_end_s()
+            rest_s = RENEW_S if held else SHOW_S
+            if end_s is not None:
+                rest_s = min(rest_s, max(end_s - now_s, 0.001))
+            with contextlib.suppress(TimeoutError):
+                async with time_limit(rest_s):
+                    await self._news.wait()
+            self._news.clear()
 
     async def _write(self, values: dict[str, Any]) -> None:
         """Write, and show what is refused; a lost daemon raises ConnectionError."""
@@ -254,28 +261,14 @@ class KeyDriver:
             self._said = self._hold.words
             sys.stdout.write(f"\r\x1b[Kthe hold ends {self._said}\n")
         width = shutil.get_terminal_size().columns - 1
-        sys.stdout.write(f"\r\x1b[K{self._line()[:width]}")
-        sys.stdout.flush()
-
-    def _line(self) -> str:
         linear, angular, _, state, source = self._seen
         age_ms = (time.monotonic() - self._fresh_s) * 1e3
-        return self._complaint or (
+        line = self._complaint or (
             f"{linear or 0.0:+.2f} m/s {angular or 0.0:+.2f} rad/s | age {age_ms:.0f} ms"
             f" | {State(state or 0).word} | control: {source}"
         )
-
-    async def _rest(self, held: frozenset[str]) -> None:
-        """Wait for a key, the end of a hold or the next renewal."""
-        now_s = time.monotonic()
-        end_s = self._hold.next_end_s()
-        rest_s = RENEW_S if held else SHOW_S
-        if end_s is not None:
-            rest_s = min(rest_s, max(end_s - now_s, 0.001))
-        with contextlib.suppress(TimeoutError):
-            async with time_limit(rest_s):
-                await self._news.wait()
-        self._news.clear()
+        sys.stdout.write(f"\r\x1b[K{line[:width]}")
+        sys.stdout.flush()
 
 
 @contextlib.contextmanager

@@ -45,38 +45,35 @@ class KeyReader:
 
     def feed(self, text: str) -> Iterator[Key | Word]:
         """Yield what `text` completes."""
-        text, self._rest = self._rest + text, ""
+        text = self._rest + text
+        self._rest = ""
         while text:
             if text[0] != "\x1b":
                 yield Key("ctrl-c" if text[0] == "\x03" else text[0].lower())
                 text = text[1:]
             elif found := _SEQUENCE.match(text):
-                yield from _meaning(found)
+                mark, numbers, last, arrow = found.groups()
+                if arrow is not None:
+                    yield Key(_ARROWS[arrow])
+                elif mark == "?" and last == "u":
+                    if int(numbers or 0) & 2:
+                        yield Word.HAS_RELEASES
+                elif mark == "" and last == "O" and not numbers:
+                    yield Word.LOST_FOCUS
+                elif mark == "" and (last in _ARROWS or last == "u"):
+                    fields = [part.split(":") for part in numbers.split(";")]
+                    modifiers, event = _modifiers(fields)
+                    name = _ARROWS.get(last) or _letter(fields[0][0])
+                    if name == "c" and modifiers & _CONTROL:
+                        name = "ctrl-c"
+                    if name:
+                        yield Key(name, event != _RELEASE)
                 text = text[found.end() :]
             elif _INCOMPLETE.match(text) and len(text) < _LONGEST:
                 self._rest = text
                 return
             else:
                 text = text[1:]
-
-
-def _meaning(found: re.Match[str]) -> Iterator[Key | Word]:
-    mark, numbers, last, arrow = found.groups()
-    if arrow is not None:
-        yield Key(_ARROWS[arrow])
-    elif mark == "?" and last == "u":
-        if int(numbers or 0) & 2:
-            yield Word.HAS_RELEASES
-    elif mark == "" and last == "O" and not numbers:
-        yield Word.LOST_FOCUS
-    elif mark == "" and (last in _ARROWS or last == "u"):
-        fields = [part.split(":") for part in numbers.split(";")]
-        modifiers, event = _modifiers(fields)
-        name = _ARROWS.get(last) or _letter(fields[0][0])
-        if name == "c" and modifiers & _CONTROL:
-            name = "ctrl-c"
-        if name:
-            yield Key(name, event != _RELEASE)
 
 
 def _modifiers(fields: list[list[str]]) -> tuple[int, int]:

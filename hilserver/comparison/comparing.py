@@ -132,7 +132,8 @@ def compare(
         ]
         if found and begun is None:
             at = min(int(one.at[0]) for one in found)
-            begun, equal_before = (piece.segment, int(piece.t_ns[at])), rows + at
+            begun = (piece.segment, int(piece.t_ns[at]))
+            equal_before = rows + at
         for one in found:
             t_ns = int(piece.t_ns[one.at[0]])
             fresh = Parting(one.signal, piece.segment, t_ns, one.a, one.b)
@@ -144,6 +145,8 @@ def compare(
         )
 
     signals = (head_a.run or {}).get("signals", ())
+    only_in_a = sorted(head_a.columns.keys() - head_b.columns.keys())
+    only_in_b = sorted(head_b.columns.keys() - head_a.columns.keys())
     return RecordingComparison(
         signals=len(names),
         rows=rows,
@@ -151,9 +154,6 @@ def compare(
         partings=sorted(partings.values(), key=lambda p: (p.segment, p.t_ns)),
         inputs=frozenset(s["name"] for s in signals if s["direction"] == "in"),
         alone=(first.alone, second.alone),
-        only_in=(
-            sorted(head_a.columns.keys() - head_b.columns.keys()),
-            sorted(head_b.columns.keys() - head_a.columns.keys()),
-        ),
+        only_in=(only_in_a, only_in_b),
         changes=changes_between(head_a.run, head_b.run),
     )

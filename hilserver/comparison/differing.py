@@ -45,7 +45,8 @@ def differing(name: str, piece: Shared, allowed: float) -> Differing | None:
     if np.array_equal(a.view(np.int64), b.view(np.int64)):
         return None
 
-    is_gap_a, is_gap_b = np.isnan(a), np.isnan(b)
+    is_gap_a = np.isnan(a)
+    is_gap_b = np.isnan(b)
     with np.errstate(invalid="ignore"):
         size = np.where(a == b, 0.0, np.abs(a - b))
     if _wraps(name):

@@ -23,7 +23,8 @@ def changes_between(
     """Return what differs between two runs; nothing for logs of others, which do not say."""
     if a is None or b is None:
         return []
-    entries_a, entries_b = dict(_entries(a)), dict(_entries(b))
+    entries_a = dict(_entries(a))
+    entries_b = dict(_entries(b))
     keys = [*entries_a, *(key for key in entries_b if key not in entries_a)]
     return [
         OriginChange(key, entries_a.get(key, _ABSENT), entries_b.get(key, _ABSENT))

@@ -80,7 +80,8 @@ def shared_rows(a: Rows, b: Rows) -> Iterator[Shared]:
             behind.use(behind.until(segment - 1).stop, 0)
             continue
 
-        of_a, of_b = a.until(segment), b.until(segment)
+        of_a = a.until(segment)
+        of_b = b.until(segment)
         last_ns = min(a.t_ns[of_a.stop - 1], b.t_ns[of_b.stop - 1])
         end_a = of_a.start + int(np.searchsorted(a.t_ns[of_a], last_ns, side="right"))
         end_b = of_b.start + int(np.searchsorted(b.t_ns[of_b], last_ns, side="right"))

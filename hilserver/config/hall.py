@@ -101,7 +101,21 @@ def _with_solids(
                 ) from None
             solids.append(solid)
             if kind == "boxes":
-                outlines.append(_outline(solid))
+                # The four sides of a box as wall segments
+                c = math.cos(solid.yaw_rad)
+                s = math.sin(solid.yaw_rad)
+                (x, y, _), (a, b, _) = solid.centre_m, solid.half_m
+                corners = [
+                    (x + c * u - s * v, y + s * u + c * v)
+                    for u, v in ((a, b), (-a, b), (-a, -b), (a, -b))
+                ]
+                outline = np.array(
+                    [
+                        (*corner, *corners[(i + 1) % 4])
+                        for i, corner in enumerate(corners)
+                    ]
+                ).reshape(-1)
+                outlines.append(outline)
     return Hall(np.concatenate(outlines), tuple(solids))
 
 
@@ -122,13 +136,13 @@ def _size(entry: dict[str, Any], key: str) -> float:
 def _slope(entry: dict[str, Any]) -> Solid:
     """Return a slab whose upper side rises from the floor at `from` to `rise_m` at `to`."""
     (x1, y1), (x2, y2) = _point(entry, "from"), _point(entry, "to")
-    run, rise, width = (
-        math.hypot(x2 - x1, y2 - y1),
-        _size(entry, "rise_m"),
-        _size(entry, "width_m"),
-    )
-    pitch, yaw = math.atan2(rise, run), math.atan2(y2 - y1, x2 - x1)
-    below, deep = 0.5 * SLAB_M * math.sin(pitch), 0.5 * SLAB_M * math.cos(pitch)
+    run = math.hypot(x2 - x1, y2 - y1)
+    rise = _size(entry, "rise_m")
+    width = _size(entry, "width_m")
+    pitch = math.atan2(rise, run)
+    yaw = math.atan2(y2 - y1, x2 - x1)
+    below = 0.5 * SLAB_M * math.sin(pitch)
+    deep = 0.5 * SLAB_M * math.cos(pitch)
     centre = (
         0.5 * (x1 + x2) + below * math.cos(yaw),
         0.5 * (y1 + y2) + below * math.sin(yaw),
@@ -140,7 +154,8 @@ def _slope(entry: dict[str, Any]) -> Solid:
 
 def _threshold(entry: dict[str, Any]) -> Solid:
     (x1, y1), (x2, y2) = _point(entry, "from"), _point(entry, "to")
-    height, width = _size(entry, "height_m"), _size(entry, "width_m")
+    height = _size(entry, "height_m")
+    width = _size(entry, "width_m")
     half = (0.5 * math.hypot(x2 - x1, y2 - y1), 0.5 * width, 0.5 * height)
     centre = (0.5 * (x1 + x2), 0.5 * (y1 + y2), 0.5 * height)
     return Solid(centre, half, math.atan2(y2 - y1, x2 - x1), carries=True)
@@ -153,16 +168,3 @@ def _box(entry: dict[str, Any]) -> Solid:
     (yaw,) = _point({"yaw": [entry.get("yaw_rad", 0.0)]}, "yaw", 1)
     half = (0.5 * length, 0.5 * width, 0.5 * height)
     return Solid((float(x), float(y), 0.5 * height), half, float(yaw))
-
-
-def _outline(solid: Solid) -> NDArray[np.float64]:
-    """Return the four sides of a box as wall segments."""
-    c, s = math.cos(solid.yaw_rad), math.sin(solid.yaw_rad)
-    (x, y, _), (a, b, _) = solid.centre_m, solid.half_m
-    corners = [
-        (x + c * u - s * v, y + s * u + c * v)
-        for u, v in ((a, b), (-a, b), (-a, -b), (a, -b))
-    ]
-    return np.array(
-        [(*corner, *corners[(i + 1) % 4]) for i, corner in enumerate(corners)]
-    ).reshape(-1)

@@ -35,7 +35,8 @@ _NUMBER_MAX = 2**32 - 1
 
 def _wrong_identifier(identifier: str) -> str:
     """Return what is wrong with ``i=...`` and the like; empty if nothing is."""
-    kind, value = identifier[0], identifier[2:]
+    kind = identifier[0]
+    value = identifier[2:]
     if kind == "i" and not (
         value.isascii()
         and value.isdecimal()
@@ -333,7 +334,8 @@ def check_signals(peer: PeerConfig, table: SignalTable) -> list[SignalProblem]:
 def check_peers(peers: list[PeerConfig]) -> list[SignalProblem]:
     """Return names shared by two peers, and inputs that two peers would set."""
     problems = []
-    names, owner = set[str](), dict[str, str]()
+    names = set[str]()
+    owner = dict[str, str]()
     for index, peer in enumerate(peers):
         if peer.name in names:
             message = f"two peers have the name '{peer.name}'"

@@ -67,7 +67,8 @@ class Config(Section):
 
     @model_validator(mode="after")
     def _no_strangers_on_the_page(self) -> Self:
-        page, may = self.page, self.opcua.anonymous_role
+        page = self.page
+        may = self.opcua.anonymous_role
         is_open = (
             page.enabled and page.is_open_to_network and not page.allow_insecure_network
         )

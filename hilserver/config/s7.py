@@ -158,11 +158,9 @@ class Endpoint(NamedTuple):
                 f"'{text}' is not an S7 controller: write s7://<host>/<rack>/<slot>, as"
                 " s7://192.0.2.20/0/1 for an S7-1500"
             )
-        port, rack, slot = (
-            int(match["port"] or 102),
-            int(match["rack"]),
-            int(match["slot"]),
-        )
+        port = int(match["port"] or 102)
+        rack = int(match["rack"])
+        slot = int(match["slot"])
         return cls(match["host"].strip("[]"), port, rack, slot)
 
 
@@ -275,7 +273,8 @@ class S7Config(LinkSection):
     @property
     def door(self) -> DoorRule:
         """What clients of our blocks may do."""
-        server, who = self.server, ("S7", self.driver.source, "s7.server.grants")
+        server = self.server
+        who = ("S7", self.driver.source, "s7.server.grants")
         if server is None:
             return DoorRule(*who, False, frozenset(), None)
         names = [field.signal for layout in server.blocks.values() for field in layout]

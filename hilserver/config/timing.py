@@ -98,7 +98,8 @@ class SchedulerConfig(Section):
 
     @model_validator(mode="after")
     def _timeout_above_publishing(self) -> Self:
-        publish_ms, timeout_ms = self.slices["publish"], self.communication_timeout_ms
+        publish_ms = self.slices["publish"]
+        timeout_ms = self.communication_timeout_ms
         if 0 < timeout_ms < 2 * publish_ms:
             raise ValueError(
                 f"communication_timeout_ms is {timeout_ms:g}, but values are published every"

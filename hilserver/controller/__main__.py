@@ -15,7 +15,8 @@ ENDPOINT = "opc.tcp://127.0.0.1:53880/UA/NodeRedAgv"
 
 def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     """Parse the command line."""
-    robot, eight = Robot(), Eight()
+    robot = Robot()
+    eight = Eight()
     parser = argparse.ArgumentParser(
         prog="python -m hilserver.controller",
         description="Drives a figure of eight over OPC UA, in place of the IOT2050.",

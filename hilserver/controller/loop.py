@@ -76,7 +76,8 @@ class FigureOfEight:
     async def cycle(self) -> None:
         """Read the pose and serve one set of set-points; without a fresh pose the wheels stop."""
         x, stamp = self.server.read("pose_x")
-        y, yaw = self.server.read("pose_y")[0], self.server.read("pose_yaw")[0]
+        y = self.server.read("pose_y")[0]
+        yaw = self.server.read("pose_yaw")[0]
         pose = self._watch.observe((x, y, yaw), stamp, time.monotonic())
         wheels = STOP
         if pose is not None and self.pattern == "wheels":
@@ -86,7 +87,8 @@ class FigureOfEight:
             command = follow(
                 self.eight, self.robot, self.gains, self._s, pose, PERIOD_S
             )
-            self._s, wheels = command.s, command.wheels_rpm
+            self._s = command.s
+            wheels = command.wheels_rpm
         if self._driving != (pose is not None):
             self._driving = pose is not None
             _log.info(

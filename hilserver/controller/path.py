@@ -82,10 +82,8 @@ def wheel_speeds_rpm(robot: Robot, v_m_s: float, om_rad_s: float) -> dict[str, f
     """Return the wheel speeds of a twist (5.25), all scaled together to the limit."""
     straight = v_m_s / robot.wheel_radius_m
     turning = om_rad_s / (2 * robot.yaw_sign * robot.wheel_radius_m * robot.k_om_per_m)
-    left, right = (
-        RPM_PER_RAD_S * (straight + turning),
-        RPM_PER_RAD_S * (turning - straight),
-    )
+    left = RPM_PER_RAD_S * (straight + turning)
+    right = RPM_PER_RAD_S * (turning - straight)
     scale = min(1.0, robot.max_rpm / max(abs(left), abs(right), 1e-12))
     # 90 * (x / 90) may exceed x by the last bit, and the daemon refuses values above its limit.
     limit = robot.max_rpm
@@ -105,7 +103,8 @@ def follow(
     step_s : float
         Length of the cycle [s].
     """
-    cos_yaw, sin_yaw = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
+    cos_yaw = math.cos(pose.yaw_rad)
+    sin_yaw = math.sin(pose.yaw_rad)
     target_x, target_y = eight.point_m(s)
     error_x = target_x - (pose.x_m + gains.ahead_m * cos_yaw)
     error_y = target_y - (pose.y_m + gains.ahead_m * sin_yaw)

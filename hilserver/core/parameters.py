@@ -128,7 +128,10 @@ class LiveParameters:
             try:
                 sound |= self.checked({name: value})
             except PlantError as error:
-                refused[name] = Refused(self._reason(name), str(error))
+                known = self.table.get(name)
+                is_fixed = known is not None and known.when == "restart"
+                code = Refusal.NOT_WRITABLE if is_fixed else Refusal.OUT_OF_RANGE
+                refused[name] = Refused(code, str(error))
         if sound:
             try:
                 self.apply(sound)
@@ -143,11 +146,6 @@ class LiveParameters:
             text = f"{source}: parameters.{name:.100} = {values[name]!r:.60} refused: {why}"
             self._events.publish(Event(EventKind.SETPOINT_REFUSED, 400, source, text))
         return refused
-
-    def _reason(self, name: str) -> Refusal:
-        known = self.table.get(name)
-        is_fixed = known is not None and known.when == "restart"
-        return Refusal.NOT_WRITABLE if is_fixed else Refusal.OUT_OF_RANGE
 
     def checked(self, values: Mapping[str, object]) -> dict[str, float]:
         """Return values by their full names, each checked by itself.

@@ -223,20 +223,12 @@ def _core(assembly: Assembly, pace: Pace, image: ProcessImage) -> Core:
     parameters = LiveParameters(
         start, image, snapshots, events, PUBLISHED_AHEAD * publish
     )
-    lines = {
-        o.name: PeerLine(o.name)
-        for o in config.drivers
-        if o.is_enabled and o.has_faults
-    }
+    ours = [o.name for o in config.drivers if o.is_enabled and o.has_faults]
+    lines = {name: PeerLine(name) for name in ours}
     packed = assembly.composition.parameters
+    period_ns = assembly.base_period_ns
     faults = faults_of(
-        image,
-        table,
-        assembly.base_period_ns,
-        packed,
-        events,
-        lambda: scheduler.tick,
-        lines,
+        image, table, period_ns, packed, events, lambda: scheduler.tick, lines
     )
     return Core(
         assembly,

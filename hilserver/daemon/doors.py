@@ -84,14 +84,13 @@ def table_of_doors(config: Config) -> list[str]:
 
 def doors_lost(config: Config) -> list[str]:
     """Return a sentence for each open door that may do less because users are named."""
-    return [
-        f"{door.title} has no log-in, so it may not {_acts(door.lost)}: opcua.users and"
-        f" opcua.anonymous say who may; '{door.way_out}' grants it to everyone there"
-        for door in config.doors
-        if door.is_open and door.lost
-    ]
-
-
-def _acts(rights: tuple[Right, ...]) -> str:
     words = {Right.MEASURED: "write measured.*", Right.PARAMETERS: "set parameters"}
-    return " or ".join(words.get(right, str(right)) for right in rights)
+    sentences = []
+    for door in config.doors:
+        if door.is_open and door.lost:
+            acts = " or ".join(words.get(right, str(right)) for right in door.lost)
+            sentences.append(
+                f"{door.title} has no log-in, so it may not {acts}: opcua.users and"
+                f" opcua.anonymous say who may; '{door.way_out}' grants it to everyone there"
+            )
+    return sentences

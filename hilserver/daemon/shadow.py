@@ -109,11 +109,11 @@ def measured_pose(
     yaw = math.remainder(tag[2] - parameters.nav_frame_yaw, math.tau)
     lever_x, lever_y = parameters.lever_x, parameters.lever_y
     scale = parameters.nav_scale
-    return (
-        tag[0] / scale - lever_x * math.cos(yaw) + lever_y * math.sin(yaw),
-        tag[1] / scale - lever_x * math.sin(yaw) - lever_y * math.cos(yaw),
-        yaw,
-    )
+    cos = math.cos(yaw)
+    sin = math.sin(yaw)
+    x_m = tag[0] / scale - lever_x * cos + lever_y * sin
+    y_m = tag[1] / scale - lever_x * sin - lever_y * cos
+    return x_m, y_m, yaw
 
 
 def _fresh(

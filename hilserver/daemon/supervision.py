@@ -51,7 +51,15 @@ class Supervision:
     def run(self) -> None:
         """Check everything that raises no event itself."""
         self._take_lapses()
-        self._look_at_models()
+        # A model of others that fails leads to the safe state.
+        for part, (model, a) in self._models.items():
+            for news in model.look(a):
+                kind = EventKind.STATE if news.is_fault else EventKind.OVERRUN
+                self._events.publish(
+                    Event(kind, 700 if news.is_fault else 500, part, news.text)
+                )
+                if news.is_fault:
+                    self._control.enter_safe(news.text, cause=None)
         self._control.supervise()
         self._watch_first_ticks()
         # Once each time it begins: the robot drives other than commanded.
@@ -89,17 +97,6 @@ class Supervision:
                 part = f"{slow_ns / 1e6:.3f} ms of it in FMU '{name}'"
                 return replace(report, cause=OverrunCause.SLICE, part=part)
         return report
-
-    def _look_at_models(self) -> None:
-        """Report what happened to models of others; one that fails leads to the safe state."""
-        for name, (model, a) in self._models.items():
-            for news in model.look(a):
-                kind = EventKind.STATE if news.is_fault else EventKind.OVERRUN
-                self._events.publish(
-                    Event(kind, 700 if news.is_fault else 500, name, news.text)
-                )
-                if news.is_fault:
-                    self._control.enter_safe(news.text, cause=None)
 
     def _take_lapses(self) -> None:
         """Report what the step has done with commands that were not renewed."""

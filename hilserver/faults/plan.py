@@ -76,20 +76,16 @@ class Planner:
                 )
             signal = self._table[fault.signal]
             found = self._on_signal(fault, signal)
-        for entry in found:
-            entry.from_tick, entry.until_tick = self._span(fault, start_tick)
-        return found
-
-    def _span(self, fault: Fault, start_tick: int | None) -> tuple[int, int]:
         begin = round(fault.from_s / self._period_s)
-        end = (
-            None
-            if fault.end_s is None
-            else max(round(fault.end_s / self._period_s), begin + 1)
-        )
-        if start_tick is None:
-            return lay.NOW, lay.FOREVER if end is None else end
-        return start_tick + begin, lay.FOREVER if end is None else start_tick + end
+        from_tick = lay.NOW if start_tick is None else start_tick + begin
+        until_tick = lay.FOREVER
+        if fault.end_s is not None:
+            end = max(round(fault.end_s / self._period_s), begin + 1)
+            until_tick = end if start_tick is None else start_tick + end
+        for entry in found:
+            entry.from_tick = from_tick
+            entry.until_tick = until_tick
+        return found
 
     def _side(self, signal: Signal) -> int:
         return lay.INPUT if signal.direction is Direction.IN else lay.OUTPUT

@@ -47,7 +47,8 @@ def check_sign(gain: RotationGain) -> Check:
 
 def _front_is_rear(log: MeasuredLog, side: str) -> Check:
     name = f"front = rear, {'left' if side == 'l' else 'right'}"
-    front, rear = f"wheel.f{side}.speed_rpm", f"wheel.r{side}.speed_rpm"
+    front = f"wheel.f{side}.speed_rpm"
+    rear = f"wheel.r{side}.speed_rpm"
     if not log.has(front, rear):
         return Check(name, None, f"the log does not contain both {front} and {rear}")
     x = log[front].values

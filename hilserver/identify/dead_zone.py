@@ -6,7 +6,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.arrays import Array, Mask
 from hilserver.errors import LogError
 from hilserver.identify.estimates import Estimate
 from hilserver.identify.wheels import files, present
@@ -55,25 +54,37 @@ def identify_dead_zone(
 
 
 def _of_wheel(log: MeasuredLog, wheel: str, resting_rpm: float) -> DeadZone | None:
-    speed, duty = log[f"wheel.{wheel}.speed_rpm"], log[f"wheel.{wheel}.duty_pct"]
+    speed = log[f"wheel.{wheel}.speed_rpm"]
+    duty = log[f"wheel.{wheel}.duty_pct"]
     common, rows, own = np.intersect1d(_keys(duty), _keys(speed), return_indices=True)
     if len(common) < 3:
         return None
-    level, turning = duty.values[rows], speed.values[own]
-    held = _held(level, turning)
+    level = duty.values[rows]
+    turning = speed.values[own]
+    # A speed is only held where it is the same to the last digit while the duty changes sign:
+    # encoders that time their edges hold the last one when no further edge comes, at a stop.
+    held = np.zeros(len(turning), dtype=bool)
+    edges = np.flatnonzero(np.diff(turning) != 0.0) + 1
+    for first, end in zip((0, *edges), (*edges, len(turning)), strict=True):
+        run = level[first:end]
+        if turning[first] != 0.0 and end - first >= 3 and run.min() <= 0.0 <= run.max():
+            held[first:end] = True
     resting = (np.abs(turning) <= resting_rpm) | held
     if not resting.any() or not (turning < -resting_rpm).any():
         return None
-    low, high = float(level[resting].min()), float(level[resting].max())
+    low = float(level[resting].min())
+    high = float(level[resting].max())
     inside = (level >= low) & (level <= high)
     if (
         np.mean(resting[inside]) < MOSTLY
     ):  # faster than the wheels, which then rest at any duty
         return None
-    below, above = level[level < low], level[level > high]
+    below = level[level < low]
+    above = level[level > high]
     if not (len(below) and len(above)):
         return None
-    lower, upper = (float(below.max()), low), (high, float(above.min()))
+    lower = (float(below.max()), low)
+    upper = (high, float(above.min()))
     return DeadZone(
         wheel,
         Estimate(sum(lower) / 2.0, lower, "%"),
@@ -85,19 +96,6 @@ def _of_wheel(log: MeasuredLog, wheel: str, resting_rpm: float) -> DeadZone | No
 def _keys(channel: Channel) -> NDArray[np.void]:
     """Return stamp and span of every sample as one comparable value."""
     keys = np.zeros(len(channel), dtype=[("span", np.int64), ("t_s", np.float64)])
-    keys["span"], keys["t_s"] = channel.span, channel.t_s
+    keys["span"] = channel.span
+    keys["t_s"] = channel.t_s
     return keys
-
-
-def _held(level: Array, speed: Array) -> Mask:
-    """Return where a speed is only held: the same to the last digit while the duty changes sign.
-
-    Encoders that time their edges hold the last speed when no further edge comes, at a stop.
-    """
-    kept = np.zeros(len(speed), dtype=bool)
-    edges = np.flatnonzero(np.diff(speed) != 0.0) + 1
-    for first, end in zip((0, *edges), (*edges, len(speed)), strict=True):
-        run = level[first:end]
-        if speed[first] != 0.0 and end - first >= 3 and run.min() <= 0.0 <= run.max():
-            kept[first:end] = True
-    return kept

@@ -66,7 +66,8 @@ def regress(columns: Array, target: Array, block: Indices) -> Regression:
         Block of each sample; samples of one block may depend on each other, blocks may not.
     """
     _, row = np.unique(block, return_inverse=True)
-    count, k = int(row.max()) + 1, columns.shape[1]
+    count = int(row.max()) + 1
+    k = columns.shape[1]
     products: NDArray[Any] = np.zeros((count, k, k + 1))
     table = np.column_stack([columns, target])
     for j in range(k):

@@ -79,8 +79,8 @@ def _resting(
             aim = at(log[f"wheel.{wheel}.setpoint_rpm"], span, t_s, hold=True)
             still &= ~(np.abs(aim) > 0.0)
     edges = np.flatnonzero(np.diff(still.astype(np.int8), prepend=0, append=0))
-    return [
-        (t_s[first:end], values[first:end])
-        for first, end in zip(edges[::2], edges[1::2], strict=True)
-        if t_s[end - 1] - t_s[first] >= STAND_S
-    ]
+    pieces = []
+    for first, end in zip(edges[::2], edges[1::2], strict=True):
+        if t_s[end - 1] - t_s[first] >= STAND_S:
+            pieces.append((t_s[first:end], values[first:end]))
+    return pieces

@@ -54,15 +54,49 @@ class _Samples:
     """Both sides of the equation from a log: yaw rate, and wheel speeds at any lag."""
 
     def __init__(self, log: MeasuredLog, robot: RobotParameters, channel: str) -> None:
-        self.log, self.robot, self.channel = log, robot, channel
+        self.log = log
+        self.robot = robot
+        self.channel = channel
         self._factor = robot.yaw_sign * robot.wheel_radius_m * RAD_S_PER_RPM
         if channel.endswith("yaw_rad"):
-            starts, ends, rate, span = _increments(log, channel)
-            self.t_s, self._before_s = ends, ends - starts
-            self.y, self.span = rate, span
+            # Stretches of about half a second.
+            rows: list[tuple[Array, Array, Array, Indices]] = []
+            for span in range(len(log.spans)):
+                t_s, yaw = log[channel].of(span)
+                if len(t_s) < 2:
+                    continue
+                count = max(1, int((t_s[-1] - t_s[0]) / _YAW_STEP_S))
+                picked = np.unique(
+                    np.searchsorted(t_s, np.linspace(t_s[0], t_s[-1], count + 1))
+                )
+                picked = picked[picked < len(t_s)]
+                turned = np.unwrap(yaw)[picked]
+                starts = t_s[picked][:-1]
+                ends = t_s[picked][1:]
+                rows.append(
+                    (
+                        starts,
+                        ends,
+                        np.diff(turned) / (ends - starts),
+                        np.full(len(ends), span),
+                    )
+                )
+            if not rows:
+                raise LogError(
+                    f"{files(log)}: {channel} has too few samples for a yaw rate"
+                )
+            starts, ends, rate, owner = (
+                np.concatenate(column) for column in zip(*rows, strict=True)
+            )
+            self.t_s = ends
+            self._before_s = ends - starts
+            self.y = rate
+            self.span = owner.astype(np.int64)
         else:
             source = log[channel]
-            self.t_s, self.y, self.span = source.t_s, source.values, source.span
+            self.t_s = source.t_s
+            self.y = source.values
+            self.span = source.span
             self._before_s = np.zeros(len(self.t_s))
         self.block = blocks_of(self.t_s, self.span)
 
@@ -82,7 +116,8 @@ class _Samples:
         out = np.full(len(self.t_s), np.nan)
         for span in range(len(self.log.spans)):
             rows = slice(*np.searchsorted(self.span, [span, span + 1]))
-            t_s, before_s = self.t_s[rows] - lag_s, self._before_s[rows]
+            t_s = self.t_s[rows] - lag_s
+            before_s = self._before_s[rows]
             if before_s.any():
                 out[rows] = self._mean_speed(span, t_s, before_s)
             else:
@@ -94,7 +129,8 @@ class _Samples:
         left = present(self.log, "speed_rpm", LEFT_WHEELS)[0]
         grid = self.log[f"wheel.{left}.speed_rpm"].of(span)[0]
         speed = side_sum_rpm(self.log, span, grid)
-        grid, speed = grid[np.isfinite(speed)], speed[np.isfinite(speed)]
+        grid = grid[np.isfinite(speed)]
+        speed = speed[np.isfinite(speed)]
         if len(grid) < 2:
             return np.full(len(t_s), np.nan)
         steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(grid)
@@ -274,28 +310,3 @@ def _flag_lag(
             f"the yaw rate comes {lag.value * 1e3:.0f} ms after the wheels' speeds: the unsteady "
             f"estimate {unsteady.value:.4g} 1/m is wrong, {corrected.value:.4g} without the lag"
         )
-
-
-def _increments(log: MeasuredLog, name: str) -> tuple[Array, Array, Array, Indices]:
-    """Return starts, ends, mean yaw rate and span of stretches of about half a second."""
-    rows: list[tuple[Array, Array, Array, Indices]] = []
-    for span in range(len(log.spans)):
-        t_s, yaw = log[name].of(span)
-        if len(t_s) < 2:
-            continue
-        count = max(1, int((t_s[-1] - t_s[0]) / _YAW_STEP_S))
-        picked = np.unique(
-            np.searchsorted(t_s, np.linspace(t_s[0], t_s[-1], count + 1))
-        )
-        picked = picked[picked < len(t_s)]
-        turned = np.unwrap(yaw)[picked]
-        starts, ends = t_s[picked][:-1], t_s[picked][1:]
-        rows.append(
-            (starts, ends, np.diff(turned) / (ends - starts), np.full(len(ends), span))
-        )
-    if not rows:
-        raise LogError(f"{files(log)}: {name} has too few samples for a yaw rate")
-    starts, ends, rate, owner = (
-        np.concatenate(column) for column in zip(*rows, strict=True)
-    )
-    return starts, ends, rate, owner.astype(np.int64)

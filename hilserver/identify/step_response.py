@@ -49,7 +49,8 @@ def find_steps(log: MeasuredLog, wheel: str, quantity: str) -> list[InputStep]:
     distance of two rows.
     """
     found: list[InputStep] = []
-    source, speed = log[f"wheel.{wheel}.{quantity}"], log[f"wheel.{wheel}.speed_rpm"]
+    source = log[f"wheel.{wheel}.{quantity}"]
+    speed = log[f"wheel.{wheel}.speed_rpm"]
     largest = float(np.max(np.abs(source.values), initial=0.0))
     for span in range(len(log.spans)):
         t_s, values = source.of(span)
@@ -60,7 +61,8 @@ def find_steps(log: MeasuredLog, wheel: str, quantity: str) -> list[InputStep]:
         edges = np.concatenate(([0], changes, [len(t_s)]))
         for i, change in enumerate(changes):
             size = float(values[change] - values[change - 1])
-            since_s, at_s = t_s[edges[i]], float(t_s[change])
+            since_s = t_s[edges[i]]
+            at_s = float(t_s[change])
             until_s = (
                 t_s[edges[i + 2]] if edges[i + 2] < len(t_s) else seen_s[-1] + 1e-9
             )
@@ -70,7 +72,8 @@ def find_steps(log: MeasuredLog, wheel: str, quantity: str) -> list[InputStep]:
             begin_s = max(since_s + 0.8 * (at_s - since_s), at_s - _BEFORE_S)
             end_s = min(until_s, at_s + _LONGEST_S)
             rows = (seen_s >= begin_s) & (seen_s < end_s)
-            before, after = (seen_s[rows] < at_s).sum(), (seen_s[rows] >= at_s).sum()
+            before = (seen_s[rows] < at_s).sum()
+            after = (seen_s[rows] >= at_s).sum()
             if before >= 1 and after >= _SAMPLES_MIN:
                 found.append(
                     InputStep(seen_s[rows] - at_s, seen[rows], size, span, at_s)
@@ -86,7 +89,8 @@ def averaged(steps: list[InputStep]) -> tuple[Array, Array]:
     grid_s = float(np.median([np.median(np.diff(step.t_s)) for step in steps]))
     length_s = float(np.median([step.t_s[-1] for step in steps]))
     t_s = np.arange(0.0, length_s, grid_s)
-    total, count = np.zeros(len(t_s)), np.zeros(len(t_s))
+    total = np.zeros(len(t_s))
+    count = np.zeros(len(t_s))
     for step in steps:
         start = float(np.mean(step.speed_rpm[step.t_s < 0.0]))
         inside = t_s <= step.t_s[-1]
@@ -210,7 +214,8 @@ class _Fits:
     """Least squares over all steps; the speed before each step is free."""
 
     def __init__(self, steps: list[InputStep], gain_unit: str, gain: float) -> None:
-        self._unit, self._gain = gain_unit, gain
+        self._unit = gain_unit
+        self._gain = gain
         self._t_s = np.concatenate([step.t_s for step in steps])
         self._speed = np.concatenate([step.speed_rpm for step in steps])
         lengths = [len(step.t_s) for step in steps]

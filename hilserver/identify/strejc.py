@@ -63,7 +63,8 @@ def find_tangent(t_s: Array, response: Array) -> Tangent:
 
     The slope is that of the steepest cubic through a stretch as long as the rise from 30 to 70 %.
     """
-    third, most = first_reach(t_s, response, 0.3), first_reach(t_s, response, 0.7)
+    third = first_reach(t_s, response, 0.3)
+    most = first_reach(t_s, response, 0.7)
     width = max(0.5 * (most - third), 2.51 * float(np.median(np.diff(t_s))))
     best = (0.0, 0.0, 0.0)
     for centre in t_s[(t_s >= 0.0) & (t_s <= most)]:
@@ -115,7 +116,8 @@ def two_lags(t_s: Array | float, t1_s: float, t2_s: float) -> Array | float:
     if abs(t1_s - t2_s) < 1e-6 * t1_s:
         x = t / t1_s
         return 1.0 - np.exp(-x) * (1.0 + x)
-    slow, fast = t1_s * np.exp(-t / t1_s), t2_s * np.exp(-t / max(t2_s, 1e-12))
+    slow = t1_s * np.exp(-t / t1_s)
+    fast = t2_s * np.exp(-t / max(t2_s, 1e-12))
     return 1.0 - (slow - fast) / (t1_s - t2_s)
 
 

@@ -67,7 +67,9 @@ def identify_update_rate(log: MeasuredLog) -> UpdateRate:
         raise LogError(
             f"{files(log)}: the update rate needs setpoint_rpm, duty_pct and speed_rpm of a wheel"
         )
-    rises, gaps, rows = [], [], []
+    rises = []
+    gaps = []
+    rows = []
     for wheel in wheels:
         rise, changed_s, row_s = _of_wheel(log, wheel)
         rises.append(rise)
@@ -80,7 +82,12 @@ def identify_update_rate(log: MeasuredLog) -> UpdateRate:
             f"{files(log)}: the command changes less than {_CHANGES_MIN + 1} times during the "
             "rise; the controller is faster than the row rate, or there is no step"
         )
-    error = _standard_error(apart)
+    # From the scatter of the distances or, if larger, the rounding of the stamps.
+    count = len(apart)
+    steps = np.abs(np.diff(np.unique(np.round(apart, 9))))
+    resolution = float(steps.min()) if len(steps) else float(apart.min()) * 0.1
+    rounded = resolution / math.sqrt(6.0) / math.sqrt(count)
+    error = max(float(apart.std(ddof=1)) / math.sqrt(count), rounded)
     half = float(stats.t.ppf(0.975, len(apart) - 1)) * error
     period = float(apart.mean())
     return UpdateRate(
@@ -102,10 +109,9 @@ def compare(rates: Sequence[UpdateRate], level: float = 0.05) -> list[RateCompar
     found = []
     for fast, slow in pairwise(ordered):
         variances = (fast.standard_error_s**2, slow.standard_error_s**2)
-        freedom = sum(variances) ** 2 / sum(
-            variance**2 / (rate.changes - 2)
-            for variance, rate in zip(variances, (fast, slow), strict=True)
-        )
+        of_fast = variances[0] ** 2 / (fast.changes - 2)
+        of_slow = variances[1] ** 2 / (slow.changes - 2)
+        freedom = sum(variances) ** 2 / (of_fast + of_slow)
         score = (slow.period_s.value - fast.period_s.value) / math.sqrt(sum(variances))
         p_value = 2.0 * float(stats.t.sf(score, freedom))
         clear = p_value * (len(ordered) - 1) < level
@@ -127,12 +133,14 @@ def _of_wheel(log: MeasuredLog, wheel: str) -> tuple[WheelRise, Array, float]:
         raise LogError(
             f"{files(log)}: the set-point of {wheel} is always 0; there is no step"
         )
-    span, start_s = int(setpoint.span[aims[0]]), float(setpoint.t_s[aims[0]])
+    span = int(setpoint.span[aims[0]])
+    start_s = float(setpoint.t_s[aims[0]])
     t_s, values = speed.of(span)
     others = (setpoint.span == span) & (setpoint.values != setpoint.values[aims[0]])
     end_s = float(setpoint.t_s[others & (setpoint.t_s > start_s)].min(initial=np.inf))
     step = (t_s >= start_s) & (t_s < end_s)
-    t_s, values = t_s[step], values[step]
+    t_s = t_s[step]
+    values = values[step]
     if len(values) < FEWEST_FOR_A_RATE:
         raise LogError(
             f"{files(log)}: {len(values)} samples of {wheel} before its set-point changes again;"
@@ -162,12 +170,3 @@ def _of_wheel(log: MeasuredLog, wheel: str) -> tuple[WheelRise, Array, float]:
 def _first(t_s: Array, values: Array, level: float) -> float:
     above = np.flatnonzero(values >= level)
     return float(t_s[above[0]]) if len(above) else float(t_s[-1])
-
-
-def _standard_error(apart: Array) -> float:
-    """Return that of the mean distance: from its scatter or, if larger, the stamps' rounding."""
-    count = len(apart)
-    steps = np.abs(np.diff(np.unique(np.round(apart, 9))))
-    resolution = float(steps.min()) if len(steps) else float(apart.min()) * 0.1
-    rounded = resolution / math.sqrt(6.0) / math.sqrt(count)
-    return max(float(apart.std(ddof=1)) / math.sqrt(count), rounded)

@@ -44,10 +44,8 @@ class BagWriter:
         self._slots = np.array(
             [slot_of[name] for name in self._layout.names], dtype=np.intp
         )
-        self._utc_ns = utc_minus_monotonic_ns
-        self._bytes = 0
-        self._path = path
-        self._storage = storage
+        self._utc_ns, self._bytes = utc_minus_monotonic_ns, 0
+        self._path, self._storage = path, storage
         self._types = Types()
         self._types.add(topics.FRAME_TYPE, self._layout.schema)
         self._types.add(topics.STATE_TYPE, topics.STATE_TEXT)
@@ -85,10 +83,8 @@ class BagWriter:
         frames = batch.frames
         table = np.zeros(len(frames), dtype=self._layout.dtype)
         table["cdr"] = CDR_LITTLE_ENDIAN
-        table["number"] = frames.numbers
-        table["segment"] = batch.segments
-        table["tick"] = frames.ticks
-        table["planned_ns"] = frames.planned_ns
+        table["number"], table["segment"] = frames.numbers, batch.segments
+        table["tick"], table["planned_ns"] = frames.ticks, frames.planned_ns
         table["values"] = frames.values[:, self._slots]
         table["status"] = frames.status[:, self._slots]
         stamps = (frames.planned_ns + self._utc_ns).tolist()
@@ -114,8 +110,7 @@ class BagWriter:
     def _release(self, stamp_ns: int) -> None:
         """Write what came before the first frame: a bag begins with its first stamp."""
         self._newest_ns = stamp_ns
-        held = self._held
-        self._held = []
+        held, self._held = self._held, []
         for topic, data in held:
             self._append(topic, stamp_ns, data)
 

@@ -115,7 +115,8 @@ def layout_of(path: Path, lines: Sequence[str]) -> CsvLayout:
     width = len(rows[begin])
     keys = {row[0] for row in rows[:begin] if row and len(row) == width}
     if {_SCOPE_NAME, "Data-Type"} <= keys:
-        # An export of TwinCAT Scope: each of its rows begins with a key.
+        # An export of TwinCAT Scope: each of its rows begins with a key. Either one column of
+        # time [ms] stands before all channels, or one before each.
         n_columns = len(rows[begin])
         at = {row[0]: i for i, row in enumerate(rows[:begin]) if len(row) == n_columns}
         names = list(rows[at[_SCOPE_NAME]])

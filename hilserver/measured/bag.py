@@ -34,7 +34,8 @@ def read_bag(path: Path, mapping: LogMapping) -> Recording:
                 f" {hint}"
             )
 
-    parts, failed = [], []
+    parts = []
+    failed = []
     for name in sorted(wanted & set(topics)):
         sent = [message for bag in bags for message in bag.messages.get(name, ())]
         if not sent:

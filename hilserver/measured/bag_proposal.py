@@ -85,10 +85,12 @@ def refuse_unmapped(path: Path) -> NoReturn:
     for name in builtin_mappings():
         channels = load_mapping(name).channels.values()
         if all(channel.optional or channel.topic in topics for channel in channels):
-            offer, proposal = f"{name} with --mapping, which fits", ""
+            offer = f"{name} with --mapping, which fits"
+            proposal = ""
             break
     else:
-        offer, proposal = "a file with --mapping", _proposal(path, topics)
+        offer = "a file with --mapping"
+        proposal = _proposal(path, topics)
     listed = [f"{name} ({topic.type})" for name, topic in sorted(topics.items())]
     raise ForeignLog(
         f"{path}: a bag needs a mapping of its topics; give {offer}; its topics are"

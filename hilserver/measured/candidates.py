@@ -96,7 +96,8 @@ def _motion(by_signal: Mapping[str, list[Candidate]]) -> Motion | None:
             sides.append(moving[0] if moving else UNSEEN)
         left, right = sides
         if quantity == "angle_rad":
-            left, right = left.rate, right.rate
+            left = left.rate
+            right = right.rate
         motion = motion_of(left, right, words)
         if motion is not None:
             return motion
@@ -111,7 +112,8 @@ def _take_turning(
     choice: Choice, candidates: Sequence[Candidate], motion: Motion | None
 ) -> None:
     """Choose what turns with the wheels; the name or the axis decides between equal ones."""
-    best, best_fit = candidates[0], -1.0
+    best = candidates[0]
+    best_fit = -1.0
     for candidate in candidates:
         fit = 0.0
         if motion is not None:
@@ -148,7 +150,8 @@ def _take_pose(
             fit = motion.moves(speed(x.samples, y.samples))
         # By its rank, unless the numbers say that it is none and another one is.
         if place is None or best_fit < LEAST <= fit:
-            place, best_fit = (x, y), fit
+            place = (x, y)
+            best_fit = fit
     if place is not None:
         x, y = place
         why = x.why

@@ -80,7 +80,8 @@ def cut(
         starts_s += begins_s
         ends_s += [*begins_s[1:], s.end_s + period_s]
 
-    start_s, end_s = np.array(starts_s), np.array(ends_s)
+    start_s = np.array(starts_s)
+    end_s = np.array(ends_s)
     lead_s = period_s * round(lead_s / period_s)
     length = end_s - start_s + lead_s
     ticks = np.ceil(length / period_s).astype(np.int64) + 2

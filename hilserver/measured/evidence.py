@@ -6,7 +6,6 @@ what moves as their sum does is its pose; a marker that a camera sees is neither
 
 import contextlib
 import csv
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -54,7 +53,8 @@ UNSEEN: Final = Samples(np.empty(0), np.empty(0))
 def samples(t: Array, values: Array) -> Samples:
     """Return a channel without what is missing."""
     there = np.isfinite(t) & np.isfinite(values)
-    t, values = t[there], values[there]
+    t = t[there]
+    values = values[there]
     order = np.argsort(t, kind="stable")
     return Samples(t[order], values[order])
 
@@ -62,7 +62,8 @@ def samples(t: Array, values: Array) -> Samples:
 def speed(x: Samples, y: Samples) -> Samples:
     """Return how fast a position moves."""
     both = Samples(x.t, np.interp(x.t, *y)) if len(y.t) else y
-    along, across = x.rate, both.rate
+    along = x.rate
+    across = both.rate
     if len(along.t) != len(across.t):
         return UNSEEN
     return Samples(along.t, np.hypot(along.values, across.values))
@@ -143,24 +144,20 @@ def table_samples(
 
     columns: dict[str, Array] = {}
     for name, *texts in zip(layout.header, *full, strict=False):
-        columns[name] = _numbers(texts, layout.separator)
+        # Numbers, times of every form as nanoseconds, NaN for others.
+        found = np.full(len(texts), np.nan)
+        for place, text in enumerate(texts):
+            point = text if layout.separator == COMMA else text.replace(COMMA, ".")
+            try:
+                found[place] = float(point)
+            except ValueError:
+                # A column of other texts ends the attempt with its first row.
+                is_time = place == 0 or np.isfinite(found[place - 1])
+                ns = stamp_ns(text) if is_time else None
+                found[place] = np.nan if ns is None else ns
+        columns[name] = found
     t = np.arange(len(full), dtype=np.float64)
     stamps = columns.get(str(time), t)
     if np.isfinite(stamps).any():
         t = stamps
     return {name: samples(t, values) for name, values in columns.items()}
-
-
-def _numbers(texts: Sequence[str], separator: str) -> Array:
-    """Return texts as numbers, times of every form as nanoseconds; NaN for others."""
-    found = np.full(len(texts), np.nan)
-    for row, text in enumerate(texts):
-        point = text if separator == COMMA else text.replace(COMMA, ".")
-        try:
-            found[row] = float(point)
-        except ValueError:
-            # A column of other texts ends the attempt with its first row.
-            is_time = row == 0 or np.isfinite(found[row - 1])
-            ns = stamp_ns(text) if is_time else None
-            found[row] = np.nan if ns is None else ns
-    return found

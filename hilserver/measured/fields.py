@@ -34,7 +34,9 @@ class Field:
     def __init__(self, path: str) -> None:
         self.path = path
         # messages that did not hold it, and why the first one did not
-        self.absent, self.reason, self._may_be_absent = 0, "", False
+        self.absent = 0
+        self.reason = ""
+        self._may_be_absent = False
         self._steps: list[str | _Index] = []
         self._at: dict[int, dict[str, None]] = {}
         end = 0

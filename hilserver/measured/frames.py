@@ -184,34 +184,22 @@ def _of_group(taken: Mapping[str, _Taken], name: str) -> _Taken | None:
     return taken.get(name.partition(".")[0], taken.get("wheel"))
 
 
-def _without_rare_repeats(values: Array) -> Array:
-    """Return samples without missing ones, if the channel otherwise never repeats a value.
-
-    The last value then only accompanies new samples of the rest of its group. A robot at rest
-    repeats values for long, so only single repeats count as missing.
-    """
-    there = np.flatnonzero(np.isfinite(values))
-    again = np.diff(values[there], prepend=np.nan) == 0.0
-    before, after = np.append(False, again[:-1]), np.append(again[1:], False)
-    alone = again & ~before & ~after
-    if again.mean() < RARE:
-        values[there[alone]] = np.nan
-    return values
-
-
 def _risen(t_s: Array, at: Indices, stamps: Array) -> _Taken:
     """Return samples by row, without those that are not newer than an earlier one.
 
     Of several messages with one stamp, the last one completes the sample.
     """
     last = np.append(np.diff(stamps) != 0.0, True)
-    at, stamps = at[last], stamps[last]
+    at = at[last]
+    stamps = stamps[last]
     newest = np.maximum.accumulate(np.append(-np.inf, stamps))[:-1]
     is_newer = stamps > newest
-    at, stamps = at[is_newer], stamps[is_newer]
+    at = at[is_newer]
+    stamps = stamps[is_newer]
     fresh, follows, age_s = np.zeros((3, len(t_s)))
     steps = np.diff(stamps, prepend=stamps[:1])
-    fresh[at], age_s[at] = 1.0, t_s[at] - stamps
+    fresh[at] = 1.0
+    age_s[at] = t_s[at] - stamps
     follows[at] = steps < GAP_STEPS * np.median(steps)
     return _Taken(fresh > 0.0, follows > 0.0, age_s)
 
@@ -259,7 +247,17 @@ def _measured(
             found[name] = np.where(own.fresh, values, np.nan)
         else:
             sampled = np.where(own.fresh & own.follows, values, np.nan)
-            found[name] = _without_rare_repeats(sampled)
+            # In a channel that otherwise never repeats a value, a repeated one only accompanies
+            # new samples of its group. A robot at rest repeats values for long, so only single
+            # repeats count as missing.
+            there = np.flatnonzero(np.isfinite(sampled))
+            again = np.diff(sampled[there], prepend=np.nan) == 0.0
+            before = np.append(False, again[:-1])
+            after = np.append(again[1:], False)
+            alone = again & ~before & ~after
+            if again.mean() < RARE:
+                sampled[there[alone]] = np.nan
+            found[name] = sampled
     if not found.keys() >= set(SETPOINTS):  # the set-points of all wheels, or of none
         for name in SETPOINTS:
             found.pop(name, None)

@@ -206,7 +206,15 @@ def _delay(
     at = times - tries[:, None]
     ends = np.interp(at, t_rate, s_rate)
     begins = np.interp(at - BASELINE_S, t_rate, s_rate)
-    left = _unexplained(way, ends - begins)
+    # The share of the variance that no line in the changes of the angle explains.
+    turned = ends - begins
+    y = way - way.mean()
+    x = turned - turned.mean(axis=1, keepdims=True)
+    total = (y**2).sum() * (x**2).sum(axis=1)
+    common = (x * y).sum(axis=1) ** 2
+    none = np.zeros(len(x))
+    share = np.divide(common, total, out=none, where=total > 0.0)
+    left = np.asarray(1.0 - share)
 
     best = int(np.argmin(left))
     is_inside = 0 < best < len(tries) - 1
@@ -217,14 +225,3 @@ def _delay(
     a, b, c = left[best - 1 : best + 2]
     bend = max(a - 2 * b + c, 1e-12)
     return float(tries[best] + GRID_S * 0.5 * (a - c) / bend)
-
-
-def _unexplained(y: Array, x: Array) -> Array:
-    """Return the share of the variance of y, shape (n,), that no line in each row of x explains."""
-    y = y - y.mean()
-    x = x - x.mean(axis=1, keepdims=True)
-    total = (y**2).sum() * (x**2).sum(axis=1)
-    common = (x * y).sum(axis=1) ** 2
-    none = np.zeros(len(x))
-    share = np.divide(common, total, out=none, where=total > 0.0)
-    return np.asarray(1.0 - share)

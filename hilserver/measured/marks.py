@@ -42,7 +42,8 @@ def with_marks(log: MeasuredLog, path: Path) -> MeasuredLog:
         marks = load(path, MarksFile).marks
     except ConfigError as error:
         raise LogError(str(error)) from None
-    placed, complaints = [], []
+    placed = []
+    complaints = []
     for index, mark in enumerate(marks):
         try:
             placed.append(PlacedMark(_run_of(log, mark), mark))
@@ -73,7 +74,8 @@ def _run_of(log: MeasuredLog, mark: FloorMark) -> int:
         and mark.segment in (None, span.number)
     ]
     if not inside:
-        first_s, last_s = min(s.start_s for s in spans), max(s.end_s for s in spans)
+        first_s = min(s.start_s for s in spans)
+        last_s = max(s.end_s for s in spans)
         raise ValueError(
             f"t_s {mark.t_s:g} is in no run of the log, whose times go from {first_s:g} to"
             f" {last_s:g} s; write the time that the log has there"
@@ -84,7 +86,8 @@ def _run_of(log: MeasuredLog, mark: FloorMark) -> int:
             f" segment: {spans[inside[0]].number}"
         )
 
-    span, other_s = spans[inside[0]], mark.other_t_s
+    span = spans[inside[0]]
+    other_s = mark.other_t_s
     if other_s is None:
         return inside[0]
     if not span.start_s <= other_s <= span.end_s:

@@ -47,7 +47,8 @@ class Decoder:
     """
 
     def __init__(self, where: str, topic: Topic) -> None:
-        self._where, self._topic = where, topic
+        self._where = where
+        self._topic = topic
         self.notices: list[str] = []  # what could not be read
         self.decode = self._decoder()  # bytes to a message
 
@@ -86,7 +87,8 @@ class Decoder:
             get_typestore,
         )
 
-        topic, known = self._topic, _distribution()
+        topic = self._topic
+        known = _distribution()
         if not topic.definition:
             return known
         try:

@@ -55,7 +55,8 @@ def series_of(
         common = np.intersect1d(times, other)
         times = common if len(common) else times
 
-    means, apart = [], []
+    means = []
+    apart = []
     for names in sides:
         rpm = [np.interp(times, *log[name].of(span)) for name in names]
         speeds = RAD_S_PER_RPM * np.array(rpm)

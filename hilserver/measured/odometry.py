@@ -41,7 +41,8 @@ def with_wheels(log: MeasuredLog, mapping: LogMapping | None) -> MeasuredLog:
         )
 
     radius_m, track_m, unknown = _dimensions(mapping.odom, log, file)
-    linear, angular = log[ODOM_LINEAR], log[ODOM_ANGULAR]
+    linear = log[ODOM_LINEAR]
+    angular = log[ODOM_ANGULAR]
     at, other = (channel.t_s + SPAN_S * channel.span for channel in (linear, angular))
     turn = np.interp(at, other, angular.values)
     half = 0.5 * track_m * turn

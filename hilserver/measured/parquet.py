@@ -99,7 +99,8 @@ def _numbers(path: Path, name: str, column: Any) -> tuple[Array, str, int]:
         types,
     )
 
-    kind, unit = column.type, ""
+    kind = column.type
+    unit = ""
     try:
         if types.is_timestamp(kind) or types.is_duration(kind) or types.is_time(kind):
             unit = kind.unit

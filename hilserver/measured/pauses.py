@@ -26,7 +26,8 @@ def without_jumps(log: MeasuredLog) -> MeasuredLog:
 
     spans = []
     for span, by_s in zip(log.spans, moved_s.tolist(), strict=True):
-        start_s, end_s = span.start_s - by_s, span.end_s - by_s
+        start_s = span.start_s - by_s
+        end_s = span.end_s - by_s
         spans.append(replace(span, start_s=start_s, end_s=end_s))
     channels = {}
     for name, channel in log.channels.items():
@@ -93,7 +94,8 @@ def _cut(name: str, channel: Channel, edges: list[Pieces]) -> Channel:
         for start_s, end_s in of_span:
             low = np.searchsorted(t_s, start_s)
             high = np.searchsorted(t_s, end_s, side="right")
-            t, v = t_s[low:high], values[low:high]
+            t = t_s[low:high]
+            v = values[low:high]
             begins_at_start = len(t) and t[0] == start_s
             if is_input(name) and low > 0 and not begins_at_start:
                 # a set-point that was sent before still holds
@@ -101,8 +103,6 @@ def _cut(name: str, channel: Channel, edges: list[Pieces]) -> Channel:
                 v = np.append(values[low - 1], v)
             parts.append((t, v))
     lengths = [len(t) for t, _ in parts]
-    return Channel(
-        np.concatenate([t for t, _ in parts]),
-        np.concatenate([v for _, v in parts]),
-        np.repeat(np.arange(len(parts)), lengths),
-    )
+    t_s = np.concatenate([t for t, _ in parts])
+    values = np.concatenate([v for _, v in parts])
+    return Channel(t_s, values, np.repeat(np.arange(len(parts)), lengths))

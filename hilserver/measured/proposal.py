@@ -203,7 +203,20 @@ def propose(head: Head) -> str:
     """Return the text of a mapping file for a table; empty without a guess."""
     time = "time: {rate_hz: 50}   # no time column was recognised: write the row rate"
     if head.stamps.time:
-        time = _time(head)
+        # With the unit that its name or its first number shows.
+        stamps = head.stamps
+        texts = dict(zip(head.header, head.first, strict=False))
+        first = texts.get(stamps.time, "").strip()
+        kind = kind_of(first)
+        parts = [f"column: {quoted(stamps.time)}"]
+        if stamps.rest is not None:
+            parts.append(f"rest: {quoted(stamps.rest)}")
+        if kind == "date":
+            parts.append(f"unit: {DATED}")
+        elif stamps.time not in head.types and kind not in TEXTS:
+            by_digits = DIGITS.get(len(first) if first.isdecimal() else 0, "s")
+            parts.append(f"unit: {unit_in_words(stamps.time) or by_digits}")
+        time = f"time: {{{', '.join(parts)}}}"
     return text(choose(candidates_of(head)).lines, time)
 
 
@@ -249,23 +262,6 @@ def time_column(
     return next(iter([*typed, *named]), None)
 
 
-def _time(head: Head) -> str:
-    """Return the line of the time, with the unit that its name or its first number shows."""
-    stamps = head.stamps
-    texts = dict(zip(head.header, head.first, strict=False))
-    first = texts.get(stamps.time, "").strip()
-    kind = kind_of(first)
-    parts = [f"column: {quoted(stamps.time)}"]
-    if stamps.rest is not None:
-        parts.append(f"rest: {quoted(stamps.rest)}")
-    if kind == "date":
-        parts.append(f"unit: {DATED}")
-    elif stamps.time not in head.types and kind not in TEXTS:
-        by_digits = DIGITS.get(len(first) if first.isdecimal() else 0, "s")
-        parts.append(f"unit: {unit_in_words(stamps.time) or by_digits}")
-    return f"time: {{{', '.join(parts)}}}"
-
-
 def _rank(words: set[str], signal: str) -> int:
     """Return how likely a name is what it may be; 0 is the likeliest."""
     if signal == GYRO:
@@ -300,7 +296,8 @@ def lines(name: str, words: set[str], at: str) -> Iterator[tuple[str, str]]:
 
 def line(signal: str, name: str, words: set[str], at: str) -> str:
     """Return the line of a signal `at` a column, or topic and field."""
-    unit, note = _unit(name, signal), ""
+    unit = _unit(name, signal)
+    note = ""
     if signal.endswith("angle_rad") and words & _COUNTS:
         unit = ', unit: "1", scale: 0.001'
         note = "   # counts: the scale is 2 pi / counts per revolution"

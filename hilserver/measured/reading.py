@@ -102,7 +102,8 @@ def _refuse_slow(path: Path, recording: Recording) -> None:
 
 def _refuse_lengths(path: Path, lengths_s: Sequence[float]) -> None:
     """Refuse lengths that are too long or too short for a diagnosis."""
-    longest_s, total_s = max(lengths_s), sum(lengths_s)
+    longest_s = max(lengths_s)
+    total_s = sum(lengths_s)
     if total_s > LONGEST_LOG_S:
         raise LogError(
             f"{path}: lasts {total_s:.6g} s; a diagnosis accepts {LONGEST_LOG_S:g} s at most:"
@@ -276,7 +277,8 @@ def _spans(recording: Recording, offset: int) -> tuple[list[Span], list[Indices]
     for first, end in zip(starts, ends, strict=True):
         number = offset + int(part.segment[first])
         own_block = None if part.block is None else int(part.block[first])
-        start_s, end_s = float(part.t_s[first]), float(part.t_s[end - 1])
+        start_s = float(part.t_s[first])
+        end_s = float(part.t_s[end - 1])
         spans.append(Span(number, own_block, start_s, end_s))
     return spans, [np.repeat(np.arange(len(starts)), ends - starts)]
 
@@ -285,7 +287,8 @@ def _channels(part: Stamped, span: Indices) -> Mapping[str, Channel]:
     found = {}
     begins_s = part.t_s[np.searchsorted(span, span)] if part.age_s else part.t_s
     for name, values in part.columns.items():
-        t_s, sampled = part.t_s, np.isfinite(values)
+        t_s = part.t_s
+        sampled = np.isfinite(values)
         if name in part.age_s:
             t_s = t_s - part.age_s[name]
             sampled &= t_s >= begins_s

@@ -271,7 +271,8 @@ def _demand(table: Table, column: str, key: str) -> None:
 
 def _mapped(table: Table, mapping: LogMapping, name: str, notices: list[str]) -> Array:
     """Return a column as a signal, in the unit that the mapping, else the file says."""
-    channel, wanted = mapping.channels[name], mapped_units()[name]
+    channel = mapping.channels[name]
+    wanted = mapped_units()[name]
     column = str(channel.column)
     _demand(table, column, name)
     in_row = unit_in_text(table.units.get(column, ""), wanted)

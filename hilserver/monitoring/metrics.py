@@ -125,7 +125,26 @@ class _HilCollector(Collector):
     def collect(self) -> Iterator[Family]:
         """Yield all families with their present values."""
         for metric, rows in self._read():
-            yield self._family(metric, rows)
+            family = _FAMILIES[metric.kind](
+                metric.name, metric.help, labels=metric.labels
+            )
+            for labels, value in rows:
+                if not isinstance(value, MetricReading):
+                    family.add_metric(labels, value)
+                    continue
+                total = self.totals.advance((metric.name, labels), value)
+                if metric.kind is MetricKind.COUNTER:
+                    family.add_metric(labels, int(total.counts[0]))
+                else:
+                    # Upper bound [s] as text and cumulated count of each exported bucket.
+                    cumulated = np.cumsum(total.counts).tolist()
+                    exported = [
+                        (_BOUNDS_TEXT[index], cumulated[index])
+                        for index in metric.bound_indices
+                    ]
+                    buckets = [*exported, ("+Inf", cumulated[-1])]
+                    family.add_metric(labels, buckets, total.sum_ns / 1e9)
+            yield cast("Family", family)
 
     def readings(self) -> Iterator[tuple[_Key, MetricReading]]:
         """Yield the present reading of every counter and histogram."""
@@ -138,31 +157,10 @@ class _HilCollector(Collector):
         for source in self._sources:
             figures = source.figures()
             for metric in source.metrics:
-                yield metric, [row for row in metric.read(figures) if _is_known(row)]
-
-    def _family(self, metric: Metric[Any], rows: list[Row]) -> Family:
-        family = _FAMILIES[metric.kind](metric.name, metric.help, labels=metric.labels)
-        for labels, value in rows:
-            if not isinstance(value, MetricReading):
-                family.add_metric(labels, value)
-                continue
-            total = self.totals.advance((metric.name, labels), value)
-            if metric.kind is MetricKind.COUNTER:
-                family.add_metric(labels, int(total.counts[0]))
-            else:
-                # Upper bound [s] as text and cumulated count of each exported bucket.
-                cumulated = np.cumsum(total.counts).tolist()
-                exported = [
-                    (_BOUNDS_TEXT[index], cumulated[index])
-                    for index in metric.bound_indices
-                ]
-                buckets = [*exported, ("+Inf", cumulated[-1])]
-                family.add_metric(labels, buckets, total.sum_ns / 1e9)
-        return cast("Family", family)
-
-
-def _is_known(row: Row) -> bool:
-    _, value = row
-    return isinstance(value, MetricReading) or (
-        value is not None and math.isfinite(value)
-    )
+                rows: list[Row] = []
+                for labels, value in metric.read(figures):
+                    if value is None:
+                        continue
+                    if isinstance(value, MetricReading) or math.isfinite(value):
+                        rows.append((labels, value))
+                yield metric, rows

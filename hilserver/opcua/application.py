@@ -235,8 +235,7 @@ def _type_name(data_type: ua.NodeId) -> str:
 def _fits(argument: ua.Argument, given: ua.Variant) -> bool:
     kind, rank = argument.DataType, argument.ValueRank
     is_built_in = kind.NamespaceIndex == 0 and kind.Identifier in _BUILT_IN
-    return (
-        given.Value is not None
-        and (not is_built_in or given.VariantType.value == kind.Identifier)
-        and (given.is_array if rank >= 1 else not given.is_array or rank != _SCALAR)
-    )
+    if is_built_in and given.VariantType.value != kind.Identifier:
+        return False
+    has_rank = given.is_array if rank >= 1 else not given.is_array or rank != _SCALAR
+    return has_rank and given.Value is not None

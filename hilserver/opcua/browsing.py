@@ -33,15 +33,9 @@ class TypeTree:
         if size != self._size:
             self._closures.clear()
             self._size = size
-        found = self._closures.get(type_id)
-        if found is None:
-            found = self._walk(type_id)
-            if type_id in self._address_space:  # or unknown ids would fill the memory
-                self._closures[type_id] = found
-        return found
-
-    def _walk(self, type_id: ua.NodeId) -> frozenset[ua.NodeId]:
-        found = {type_id}
+        if type_id in self._closures:
+            return self._closures[type_id]
+        reached = {type_id}
         rest = [type_id]
         while rest:
             node = self._address_space.get(rest.pop())
@@ -49,11 +43,14 @@ class TypeTree:
                 if (
                     reference.IsForward
                     and reference.ReferenceTypeId == _HAS_SUBTYPE
-                    and reference.NodeId not in found
+                    and reference.NodeId not in reached
                 ):
-                    found.add(reference.NodeId)
+                    reached.add(reference.NodeId)
                     rest.append(reference.NodeId)
-        return frozenset(found)
+        found = frozenset(reached)
+        if type_id in self._address_space:  # or unknown ids would fill the memory
+            self._closures[type_id] = found
+        return found
 
 
 MAX_REFERENCES = 1000

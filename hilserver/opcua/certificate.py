@@ -50,32 +50,33 @@ def make_certificate(
             x509.NameAttribute(NameOID.ORGANIZATION_NAME, "hilserver"),
         ]
     )
+    public = key.public_key()
     signer = key if issuer is None else issuer[1]
     names = [
         x509.UniformResourceIdentifier(application_uri),
         *map(_general_name, hosts),
     ]
     uses = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
+    of_signer = signer.public_key()
+    extensions: list[tuple[x509.ExtensionType, bool]] = [  # and whether it is critical
+        (x509.SubjectAlternativeName(names), False),
+        (x509.BasicConstraints(ca=False, path_length=None), True),
+        (_key_usage(issuer is None), True),
+        (x509.ExtendedKeyUsage(uses), False),
+        (x509.SubjectKeyIdentifier.from_public_key(public), False),
+        (x509.AuthorityKeyIdentifier.from_issuer_public_key(of_signer), False),
+    ]
     builder = (
         x509.CertificateBuilder()
         .subject_name(subject)
         .issuer_name(subject if issuer is None else issuer[0].subject)
-        .public_key(key.public_key())
+        .public_key(public)
         .serial_number(x509.random_serial_number())
         .not_valid_before(begin)
         .not_valid_after(begin + timedelta(days=days))
-        .add_extension(x509.SubjectAlternativeName(names), critical=False)
-        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-        .add_extension(_key_usage(issuer is None), critical=True)
-        .add_extension(x509.ExtendedKeyUsage(uses), critical=False)
-        .add_extension(
-            x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False
-        )
-        .add_extension(
-            x509.AuthorityKeyIdentifier.from_issuer_public_key(signer.public_key()),
-            critical=False,
-        )
     )
+    for extension, is_critical in extensions:
+        builder = builder.add_extension(extension, is_critical)
     return builder.sign(signer, hashes.SHA256())
 
 

@@ -32,25 +32,14 @@ def hash_password(password: str, log_n: int = _LOG_N) -> str:
 
 def is_password(password: bytes, text: str) -> bool:
     """Whether `password` belongs to the hash; takes the same time for a wrong one."""
-    log_n, r, p, salt, expected = _parts(text)
-    return hmac.compare_digest(
-        _scrypt(password, salt, log_n, r, p, len(expected)), expected
-    )
-
-
-def _parts(text: str) -> tuple[int, int, int, bytes, bytes]:
-    found = _FORM.fullmatch(text)
-    if found is None:
+    parts = _FORM.fullmatch(text)
+    if parts is None:
         raise ValueError("not a scrypt hash")
-    log_n, r, p, salt, key = found.groups()
-    decode = base64.b64decode
-    return (
-        int(log_n),
-        int(r),
-        int(p),
-        decode(salt, validate=True),
-        decode(key, validate=True),
-    )
+    log_n, r, p, salt_text, key_text = parts.groups()
+    salt = base64.b64decode(salt_text, validate=True)
+    expected = base64.b64decode(key_text, validate=True)
+    found = _scrypt(password, salt, int(log_n), int(r), int(p), len(expected))
+    return hmac.compare_digest(found, expected)
 
 
 def _scrypt(

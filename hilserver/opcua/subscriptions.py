@@ -303,10 +303,9 @@ class Subscriptions:
         """Return what a session may still monitor; orphans yield if nothing is left."""
         share = self._share(session)
         own = self.of(session)
-        room = Room(
-            share.monitored_items - sum(len(s.items) for s in own),
-            share.queued_values - sum(s.items.queued_values for s in own),
-        )
+        n_items = sum(len(s.items) for s in own)
+        n_values = sum(s.items.queued_values for s in own)
+        room = Room(share.monitored_items - n_items, share.queued_values - n_values)
         while True:
             everybody = self.subscriptions.values()
             items = self.settings.max_monitored_items - sum(

@@ -104,7 +104,19 @@ class _Folder:
         self.lists = []
         for path in stamp:
             try:
-                self._take(path)
+                data = read_small(path, MAX_LIST_BYTES)
+                try:
+                    certificate = parse_certificate(data)
+                except ValueError:
+                    is_text = data[:1000].lstrip().startswith(b"-----BEGIN")
+                    parsed = (
+                        x509.load_pem_x509_crl(data)
+                        if is_text
+                        else x509.load_der_x509_crl(data)
+                    )
+                    self.lists.append(parsed)
+                else:
+                    self.certificates[thumbprint(certificate)] = certificate
             except (ValueError, OSError) as error:
                 why = self.unread[path] = getattr(error, "strerror", None) or str(error)
                 if isinstance(error, OSError) and error.errno != errno.EFBIG:
@@ -116,21 +128,6 @@ class _Folder:
                         file=str(path),
                         reason=why,
                     )
-
-    def _take(self, path: Path) -> None:
-        data = read_small(path, MAX_LIST_BYTES)
-        try:
-            certificate = parse_certificate(data)
-        except ValueError:
-            is_text = data[:1000].lstrip().startswith(b"-----BEGIN")
-            parsed = (
-                x509.load_pem_x509_crl(data)
-                if is_text
-                else x509.load_der_x509_crl(data)
-            )
-            self.lists.append(parsed)
-        else:
-            self.certificates[thumbprint(certificate)] = certificate
 
 
 def _stamp(path: Path) -> tuple[int, ...]:
@@ -195,38 +192,30 @@ class TrustList:
         now = now or datetime.now(UTC)
         trusted = self._trusted.refresh()
         revoked = self._revoked.refresh()
-        if thumbprint(certificate) in revoked.certificates:
+        own = thumbprint(certificate)
+        if own in revoked.certificates:
             return CertificateVerdict.REVOKED
         known = trusted.certificates if only is None else {thumbprint(only): only}
         if self.ours is not None and use == ExtendedKeyUsageOID.CLIENT_AUTH:
             known = {**known, thumbprint(self.ours): self.ours}
         issuer = None
-        if thumbprint(certificate) not in known:
+        if own not in known:
             issuer = _issuer_of(certificate, known.values())
             if issuer is None:
                 return CertificateVerdict.UNTRUSTED
         if not isinstance(key, rsa.RSAPublicKey) or not _is_strong(certificate, key):
             return CertificateVerdict.POLICY
-        if (
-            not certificate.not_valid_before_utc
-            <= now
-            <= certificate.not_valid_after_utc
-        ):
+        if not _is_in_time(certificate, now):
             return CertificateVerdict.TIME
-        if (
-            issuer
-            and not issuer.not_valid_before_utc <= now <= issuer.not_valid_after_utc
-        ):
+        if issuer and not _is_in_time(issuer, now):
             return CertificateVerdict.ISSUER_TIME
         if not _may_authenticate(certificate, use):
             return CertificateVerdict.USE
         if issuer and _is_on_a_list(certificate, issuer, revoked.lists):
             return CertificateVerdict.REVOKED
-        return (
-            CertificateVerdict.REVOCATION_UNKNOWN
-            if revoked.unread
-            else CertificateVerdict.GOOD
-        )
+        if revoked.unread:
+            return CertificateVerdict.REVOCATION_UNKNOWN
+        return CertificateVerdict.GOOD
 
     def judge_server(
         self,
@@ -342,6 +331,11 @@ def write_private(path: Path, data: bytes) -> None:
         file.flush()
         os.fsync(file.fileno())
     temporary.replace(path)
+
+
+def _is_in_time(certificate: x509.Certificate, now: datetime) -> bool:
+    begin = certificate.not_valid_before_utc
+    return begin <= now <= certificate.not_valid_after_utc
 
 
 def _issuer_of(

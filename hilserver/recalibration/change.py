@@ -78,7 +78,8 @@ class Residuals:
         )
 
     def _restart(self, t_s: float) -> None:
-        self._begun_s, self._squares = t_s, {}
+        self._begun_s = t_s
+        self._squares = {}
         self._moved = self._seen = 0
 
     def _stride(self, t_s: float, measured: Values, simulated: Values) -> None:
@@ -146,16 +147,16 @@ def grown(rows: NDArray[np.float64], newest: int) -> NDArray[np.float64]:
     ----------
     rows : ndarray, shape (n, k)
     """
-    usual, late = rows[:-newest], rows[-newest:]
+    usual = rows[:-newest]
+    late = rows[-newest:]
     n = len(usual)
     if n < FEWEST_USUAL:
         return np.ones(rows.shape[1])
     away = usual - usual.mean(axis=0)
     variance = (away**2).sum(axis=0) / (n - 1)
     safe = np.maximum(variance, LEAST_SQUARE)
-    r = np.clip(
-        (away[1:] * away[:-1]).sum(axis=0) / ((n - 1) * safe) + 1.0 / n, 0.0, 0.95
-    )
+    products = (away[1:] * away[:-1]).sum(axis=0)
+    r = np.clip(products / ((n - 1) * safe) + 1.0 / n, 0.0, 0.95)
     worth = (1.0 - r) / (1.0 + r)
     freedom = np.maximum(n * worth - 1.0, 1.0)
     scatter = np.sqrt(safe / worth * (1.0 / newest + 1.0 / n))

@@ -25,13 +25,15 @@ class ChangeWatch:
 
     def take(self, frame: Frame) -> str | None:
         """Take a frame; return the channel whose gap has grown, None if all are as usual."""
-        table, gate = self._world.table, self._world.gate
+        table = self._world.table
+        gate = self._world.gate
         measured: dict[str, float] = {}
         simulated: dict[str, float] = {}
         for name in gate.measured:
             if table[name].writable:
                 continue  # a set-point is an input of the model
-            there, here = table.slot(f"{MEASURED}{name}"), table.slot(name)
+            there = table.slot(f"{MEASURED}{name}")
+            here = table.slot(name)
             if frame.status[there] == GOOD and frame.status[here] == GOOD:
                 measured[name] = float(frame.values[there])
                 simulated[name] = float(frame.values[here])

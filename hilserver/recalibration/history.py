@@ -30,7 +30,9 @@ class History:
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / FILE
-        self._size, self._last, self.number = 0, _FIRST, 0
+        self._size = 0
+        self._last = _FIRST
+        self.number = 0
         self.lines: list[dict[str, Any]] = []
         """Lines of earlier runs, from which their state is restored."""
         try:
@@ -50,7 +52,8 @@ class History:
                 break  # half a line at the end: the daemon was killed while writing it
             self.lines.append(line)
             self._size += len(text)
-            self._last, self.number = str(line.get("hash", _FIRST)), self.number + 1
+            self._last = str(line.get("hash", _FIRST))
+            self.number += 1
 
     def append(self, kind: str, **fields: Any) -> dict[str, Any]:
         """Append a line, whole or not at all.
@@ -72,7 +75,8 @@ class History:
         data = (json.dumps(line, ensure_ascii=False) + "\n").encode()
         self._write(data)
         self._size += len(data)
-        self._last, self.number = line["hash"], self.number + 1
+        self._last = line["hash"]
+        self.number += 1
         return line
 
     def _write(self, data: bytes) -> None:

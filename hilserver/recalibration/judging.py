@@ -61,7 +61,8 @@ class OrderJudge:
     """Does what an order asks for; reads the window once."""
 
     def __init__(self, order: JudgeOrder) -> None:
-        self._order, self._todo = order, order.todo
+        self._order = order
+        self._todo = order.todo
         config = Config.model_validate(order.config)
         assembly = assemble_config(config, Path(order.folder))
         self._config_sha256, self._sampling = config.sha256, Sampling.of(config)
@@ -78,7 +79,10 @@ class OrderJudge:
 
     def result(self) -> JudgeResult:
         """Carry out the order; anything wrong with the window becomes the error sentence."""
-        todo, measure, confirm, look = self._todo, None, None, None
+        todo = self._todo
+        measure = None
+        confirm = None
+        look = None
         try:
             if todo.measure is not None:
                 measure = compared(self.log, self.robot, todo.measure, todo.loaded)
@@ -86,34 +90,30 @@ class OrderJudge:
                 confirm = compared(self.log, self.robot, todo.loaded, todo.confirm)
             is_confirmed = confirm is not None and confirm.holds(todo.level)
             if todo.look and not is_confirmed:
-                look = self._look()
+                running = self._todo.loaded
+                diagnosis = judge(
+                    self.log,
+                    self.robot,
+                    config_sha256=self._config_sha256,
+                    jobs=1,
+                    running=running,
+                )
+                found = diagnosis.findings.findings
+                faulty = [f for f in found if f.verdict is Verdict.DATA_FAULT]
+                faults = tuple(f.explanation for f in faulty)
+                if not all(set(f.causes) <= HARMLESS for f in faulty):
+                    looked = Looked("data_fault", faults=faults)
+                else:
+                    looked = replace(
+                        self._named(diagnosis, [f for f in found if f not in faulty]),
+                        faults=faults,
+                    )
+                if looked.verdict == "named" and self._order.report:
+                    write(Path(self._order.report), documents(diagnosis))
+                look = looked
         except UserError as error:
             return JudgeResult(measure, confirm, error=str(error))
         return JudgeResult(measure, confirm, look)
-
-    def _look(self) -> Looked:
-        running = self._todo.loaded
-        diagnosis = judge(
-            self.log,
-            self.robot,
-            config_sha256=self._config_sha256,
-            jobs=1,
-            running=running,
-        )
-        looked = self._looked(diagnosis)
-        if looked.verdict == "named" and self._order.report:
-            write(Path(self._order.report), documents(diagnosis))
-        return looked
-
-    def _looked(self, diagnosis: Diagnosis) -> Looked:
-        found = diagnosis.findings.findings
-        faulty = [f for f in found if f.verdict is Verdict.DATA_FAULT]
-        faults = tuple(f.explanation for f in faulty)
-        if not all(set(f.causes) <= HARMLESS for f in faulty):
-            return Looked("data_fault", faults=faults)
-        return replace(
-            self._named(diagnosis, [f for f in found if f not in faulty]), faults=faults
-        )
 
     def _named(self, diagnosis: Diagnosis, found: list[Finding]) -> Looked:
         loaded = self._todo.loaded
@@ -122,7 +122,8 @@ class OrderJudge:
         terms = self._with_running(
             proposed(steady(diagnosis), loaded, self._least_change)
         )
-        values, named = values_of(terms), [f for f in found if f.verdict in PROPOSABLE]
+        values = values_of(terms)
+        named = [f for f in found if f.verdict in PROPOSABLE]
         others = [f for f in found if f not in named]
         if values == dict(loaded):
             small = [f for f in named if not loaded.keys() & f.parameters.keys()]
@@ -172,20 +173,18 @@ class OrderJudge:
         level = self._level(terms)
         for cause in sorted({cause_of(name).name for name in unseen}):
             own = {n: t for n, t in unseen.items() if cause_of(n).name == cause}
-            if not self._shows(own):
+            # Is a running cause large enough that its absence would be seen?
+            shows = any(
+                is_changed(name, term, part_of(name).null, self._least_change)
+                for name, term in own.items()
+                if not part_of(name).shape
+            )
+            if not shows:
                 continue
             less = {n: t for n, t in terms.items() if n not in own}
             again = compared(self.log, self.robot, values_of(terms), values_of(less))
             terms = less if again.holds(level) else terms
         return terms
-
-    def _shows(self, own: Mapping[str, ProposedTerm]) -> bool:
-        """Whether a running cause is large enough that its absence would be seen."""
-        return any(
-            is_changed(name, term, part_of(name).null, self._least_change)
-            for name, term in own.items()
-            if not part_of(name).shape
-        )
 
     def _level(self, terms: Mapping[str, ProposedTerm]) -> float:
         """Return the level of each comparison of a look, of which there may be one per term."""
@@ -274,8 +273,10 @@ def compared(
 
     The noise is that which the model before leaves: it may hide a gain, and never makes one.
     """
-    log, rng = check(log, robot).log, np.random.default_rng(0)
-    differences, shown = [np.zeros(0)], [np.zeros(0)]
+    log = check(log, robot).log
+    rng = np.random.default_rng(0)
+    differences = [np.zeros(0)]
+    shown = [np.zeros(0)]
     gain: dict[str, Quantity] = {}
     for stage in stages_of(log, robot, drive_terms=after).values():
         problem = Problem(stage.uncut())

@@ -65,7 +65,9 @@ class RecalibrationLoop:
     """
 
     def __init__(self, every_s: float | None, spending: Spending, now_s: float) -> None:
-        self._every_s, self._spending, self._looked_s = every_s, spending, now_s
+        self._every_s = every_s
+        self._spending = spending
+        self._looked_s = now_s
         self._candidate: WaitingWindow | None = None
         self._rejected: deque[Proposal] = deque(maxlen=REMEMBERED)
         self._accepted_in: int | None = None
@@ -81,10 +83,8 @@ class RecalibrationLoop:
         if not self._is_undone(loaded):
             return []
         assert self.proposal is not None
-        self.proposal, self._accepted_in = (
-            self.proposal.after(ProposalStep.REPLACE),
-            None,
-        )
+        self.proposal = self.proposal.after(ProposalStep.REPLACE)
+        self._accepted_in = None
         text = f"proposal {self.proposal.number} is no longer active: its effect is not measured"
         return [
             Note("decision", {"who": "", "proposal": self.proposal.as_json()}, text)
@@ -140,31 +140,34 @@ class RecalibrationLoop:
         if result.confirm is not None:
             notes += self._confirmed(todo, result.confirm)
         if result.look is not None:
-            notes.append(self._seen(todo, result.look, now_s))
+            since_s = now_s - self._looked_s
+            self._looked_s = now_s
+            self.changed = None
+            level = self._spending.confirmation(since_s)
+            if result.look.verdict == "named":
+                self._candidate = WaitingWindow(
+                    todo.window, todo.loaded, result.look, level
+                )
+            spent = {"joint": self._spending.joint(since_s), "confirmation": level}
+            found = {
+                "verdict": result.look.verdict,
+                "causes": result.look.causes,
+                "sentence": result.look.sentence,
+            }
+            seen = Note(
+                "look",
+                {"window": todo.window, **found, "p": result.look.p, "spent": spent},
+            )
+            notes.append(seen)
             notes += [
                 Note("data_fault", {"window": todo.window, "sentence": one}, one, 500)
                 for one in result.look.faults
             ]
         return notes
 
-    def _seen(self, todo: Todo, look: Looked, now_s: float) -> Note:
-        since_s, self._looked_s = now_s - self._looked_s, now_s
-        self.changed = None
-        level = self._spending.confirmation(since_s)
-        if look.verdict == "named":
-            self._candidate = WaitingWindow(todo.window, todo.loaded, look, level)
-        spent = {"joint": self._spending.joint(since_s), "confirmation": level}
-        found = {
-            "verdict": look.verdict,
-            "causes": look.causes,
-            "sentence": look.sentence,
-        }
-        return Note(
-            "look", {"window": todo.window, **found, "p": look.p, "spent": spent}
-        )
-
     def _confirmed(self, todo: Todo, compared: ModelsCompared) -> list[Note]:
-        candidate, self._candidate = self._candidate, None
+        candidate = self._candidate
+        self._candidate = None
         if candidate is None:
             return []
         looked, level = candidate.looked, candidate.level
@@ -207,7 +210,8 @@ class RecalibrationLoop:
             notes.append(
                 Note("decision", {"who": "", "proposal": self.proposal.as_json()})
             )
-        self.count, self.proposal = made.number, made
+        self.count = made.number
+        self.proposal = made
         return [
             *notes,
             Note("proposal", {"proposal": made.as_json()}, announced(made), 400),
@@ -266,11 +270,13 @@ class RecalibrationLoop:
         recording : int
             Window that is being written, which contains both models.
         """
-        self.proposal, self._candidate = decided, None
+        self.proposal = decided
+        self._candidate = None
         if decided.stage is ProposalStage.REJECTED:
             self._rejected.append(decided)
         if decided.stage is ProposalStage.ACCEPTED:
-            self._accepted_in, self.changed = recording, None
+            self._accepted_in = recording
+            self.changed = None
 
     def restore(
         self, lines: Iterable[Mapping[str, Any]], loaded: Values, window: int
@@ -292,10 +298,8 @@ class RecalibrationLoop:
         if self.proposal is not None and self.proposal.stage is ProposalStage.ACCEPTED:
             self._accepted_in = window
             if self._is_undone(loaded):
-                self.proposal, self._accepted_in = (
-                    self.proposal.after(ProposalStep.REOPEN),
-                    None,
-                )
+                self.proposal = self.proposal.after(ProposalStep.REOPEN)
+                self._accepted_in = None
 
 
 def too_little(window: int, answer: FlipTest, level: float) -> str:

@@ -49,7 +49,8 @@ class Recalibration(Part):
     section = label = "recalibration"
 
     def __init__(self, world: World) -> None:
-        self._world, self._config = world, world.config.recalibration
+        self._world = world
+        self._config = world.config.recalibration
         self._folder = world.folder / self._config.folder
         self._patches = world.folder / world.config.folders.patches
         self._gap = ChangeWatch(world)
@@ -146,7 +147,20 @@ class Recalibration(Part):
         self, window: RecalibrationWindow, todo: Todo, now_s: float
     ) -> None:
         sha256 = await asyncio.to_thread(lambda: window.sha256)
-        order, limit_s = self._order(window, todo), self._config.limit
+        world, config = self._world, self._config
+        _, others = patches.split(self._differing)
+        cores = process.other_cores(world.pacing_thread(), config.cpu)
+        memory = round(config.memory_mb * 1e6)
+        order = JudgeOrder(
+            todo,
+            str(window.path),
+            without_passwords(world.config),
+            str(world.folder),
+            others,
+            str(self._folder / f"report_{window.number % KEPT_REPORTS:02d}"),
+            Share(config.nice, cores, memory, os.getpid()),
+        )
+        limit_s = self._config.limit
         self.figures.is_looking = True
         try:
             result = await process.looked(order, self._folder, limit_s)
@@ -167,23 +181,12 @@ class Recalibration(Part):
             made is not None
             and made.stage is ProposalStage.OPEN
             and self._config.accept == "automatic"
+            and made.within(self._config.ranges)
         ):
-            await self._accept_by_itself(made)
-
-    def _order(self, window: RecalibrationWindow, todo: Todo) -> JudgeOrder:
-        world, config = self._world, self._config
-        _, others = patches.split(self._differing)
-        cores = process.other_cores(world.pacing_thread(), config.cpu)
-        memory = round(config.memory_mb * 1e6)
-        return JudgeOrder(
-            todo,
-            str(window.path),
-            without_passwords(world.config),
-            str(world.folder),
-            others,
-            str(self._folder / f"report_{window.number % KEPT_REPORTS:02d}"),
-            Share(config.nice, cores, memory, os.getpid()),
-        )
+            try:
+                await self.accept(made.number, AUTOMATIC)
+            except UserError as error:
+                self._failed(f"proposal {made.number} was not accepted: {error}")
 
     async def _offer(self, proposal: Proposal, report: str) -> None:
         """Write the files of a proposal, without which it cannot be accepted."""
@@ -205,13 +208,6 @@ class Recalibration(Part):
         finally:
             # Nobody else writes them meanwhile, even if we are cancelled.
             await asyncio.wait([writing])
-
-    async def _accept_by_itself(self, proposal: Proposal) -> None:
-        if proposal.within(self._config.ranges):
-            try:
-                await self.accept(proposal.number, AUTOMATIC)
-            except UserError as error:
-                self._failed(f"proposal {proposal.number} was not accepted: {error}")
 
     # --- decisions --------------------------------------------------------------------------------
 
@@ -246,7 +242,15 @@ class Recalibration(Part):
                 if self._world.files.patches.loaded == decided.patch:
                     self._accepted(decided, who)  # loaded all the same
                 else:
-                    self._undone(str(error) or type(error).__name__)
+                    # The decision had no effect.
+                    why = str(error) or type(error).__name__
+                    self.figures.decisions["undone"] += 1
+                    left = self.loop.proposal
+                    assert left is not None
+                    with contextlib.suppress(FailedError):
+                        self._history.append(
+                            "undone", why=why[:MOST_TEXT], proposal=left.as_json()
+                        )
                 raise
             self._accepted(decided, who)
 
@@ -275,14 +279,6 @@ class Recalibration(Part):
         if sentence not in self._refusals and len(self._refusals) < MOST_REFUSALS:
             self._refusals[sentence] = now_s
             self._say(sentence, 400)
-
-    def _undone(self, why: str) -> None:
-        """Record that a decision had no effect."""
-        self.figures.decisions["undone"] += 1
-        left = self.loop.proposal
-        assert left is not None
-        with contextlib.suppress(FailedError):
-            self._history.append("undone", why=why[:MOST_TEXT], proposal=left.as_json())
 
     async def reject(self, number: int, who: str) -> None:
         """Reject a proposal, which is then not repeated; UserError as for `accept`."""

@@ -1,9 +1,7 @@
 """The patch files of a proposal: the proposed model, and the one before it."""
 
 import math
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import yaml
 
@@ -56,25 +54,27 @@ def write(folder: Path, proposal: Proposal, others: Values, config_sha256: str) 
             values = {f"{TERM}{n}": t.value for n, t in terms.items()}
             patch = _of_parameters(made_from, {**others, **nulls, **values})
         else:
-            patch = _of_terms(made_from, terms, proposal.fitted)
+            # A patch of terms that states where they were fitted.
+            where = FittedIn.model_validate(
+                {**proposal.fitted, "conditions": "recalibration"}
+            )
+            found = {
+                n: PatchTerm(value=t.value, unit=t.unit, ci95=t.ci95, fitted_in=where)
+                for n, t in terms.items()
+            }
+            patch = ModelPatch(schema_=SCHEMA, made_from=made_from, terms=found)
         data = patch.model_dump(mode="json", by_alias=True, exclude_defaults=True)
-        _write(folder / name, yaml.safe_dump(data, sort_keys=False, allow_unicode=True))
+        path = folder / name
+        text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_whole(path, text.encode())
+        except OSError as error:
+            raise FailedError(f"{path}: cannot be written: {reason(error)}") from None
 
 
 def _of(term: str) -> Parameter:
     return PLANT[f"{TERM}{term}"]
-
-
-def _of_terms(
-    made_from: MadeFrom, terms: Mapping[str, ProposedTerm], fitted: Any
-) -> ModelPatch:
-    """Return a patch of terms that states where they were fitted."""
-    where = FittedIn.model_validate({**fitted, "conditions": "recalibration"})
-    found = {
-        n: PatchTerm(value=t.value, unit=t.unit, ci95=t.ci95, fitted_in=where)
-        for n, t in terms.items()
-    }
-    return ModelPatch(schema_=SCHEMA, made_from=made_from, terms=found)
 
 
 def _of_parameters(made_from: MadeFrom, values: Values) -> ModelPatch:
@@ -85,11 +85,3 @@ def _of_parameters(made_from: MadeFrom, values: Values) -> ModelPatch:
         if n in PLANT
     }
     return ModelPatch(schema_=SCHEMA_2, made_from=made_from, parameters=found)
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, text.encode())
-    except OSError as error:
-        raise FailedError(f"{path}: cannot be written: {reason(error)}") from None

@@ -59,7 +59,11 @@ async def _run(path: Path, limit_s: float) -> JudgeResult:
     try:
         return JudgeResult.of(out.decode())
     except ValueError:
-        return JudgeResult(error=_ended(process.returncode or 0, said))
+        code = process.returncode or 0
+        how = f"its process {children.how_ended(code)}"
+        last = said.decode(errors="replace").strip().rpartition("\n")[2][:MOST_SAID]
+        why = how if code < 0 else f"{how}: {last or 'no error message'}"
+        return JudgeResult(error=why)
 
 
 def cut_short(folder: Path) -> int | None:
@@ -77,12 +81,6 @@ def cut_short(folder: Path) -> int | None:
         return JudgeOrder.of(text).todo.window
     except ValueError:
         return 0
-
-
-def _ended(code: int, said: bytes) -> str:
-    how = f"its process {children.how_ended(code)}"
-    last = said.decode(errors="replace").strip().rpartition("\n")[2][:MOST_SAID]
-    return how if code < 0 else f"{how}: {last or 'no error message'}"
 
 
 def recorder(image: str, folder: Path, window_s: float, max_mb: float) -> list[str]:

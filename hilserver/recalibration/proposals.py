@@ -167,5 +167,6 @@ def values_of(terms: Mapping[str, ProposedTerm]) -> dict[str, float]:
 
 
 def _meet(one: ProposedTerm, other: ProposedTerm) -> bool:
-    a, b = one.interval, other.interval
+    a = one.interval
+    b = other.interval
     return a[0] <= b[1] and b[0] <= a[1]

@@ -83,7 +83,8 @@ class DrivePiece:
 def piece(seed: int, length_s: float, causes: Mapping[str, float]) -> DrivePiece:
     """Make a drive."""
     table, truth = make(replace(RAMPS, seed=seed, causes=causes, duration_s=length_s))
-    first, last = truth.dense[0, 1:4].copy(), truth.dense[-1, 1:4].copy()
+    first = truth.dense[0, 1:4].copy()
+    last = truth.dense[-1, 1:4].copy()
     return DrivePiece(length_s, table.t_s, table.columns, first, last)
 
 
@@ -92,7 +93,11 @@ def rows(seed: int) -> Iterator[tuple[float, dict[str, float]]]:
     begin_s, at = 0.0, None
     for made in _pieces(seed):
         at = made.first if at is None else at
-        columns = _moved(made.columns, made.first, at)
+        tag = np.array([made.columns[name] for name in TAG])
+        x, y, yaw = _pose(made.first, at, tag)
+        columns = dict(made.columns) | dict(
+            zip(TAG, (x, y, np.arctan2(np.sin(yaw), np.cos(yaw))), strict=True)
+        )
         at = _pose(made.first, at, made.last)
         for k, t_s in enumerate(made.t_s.tolist()):
             values = {name: float(values[k]) for name, values in columns.items()}
@@ -109,28 +114,21 @@ def _pieces(seed: int) -> Iterator[DrivePiece]:
     with ProcessPoolExecutor(1, context, end_with_parent, (os.getpid(),)) as pool:
         coming = pool.submit(piece, seed, APPEARS_S, {})
         for number in itertools.count(1):
-            now, coming = coming, pool.submit(piece, seed + number, DRIVE_S, CAUSE)
+            now = coming
+            coming = pool.submit(piece, seed + number, DRIVE_S, CAUSE)
             yield now.result()
 
 
 def _pose(start: Pose, at: Pose, pose: Pose) -> Pose:
     """Return a pose of a drive that begins at `at` instead of `start`."""
     turn = at[2] - start[2]
-    cos, sin = math.cos(turn), math.sin(turn)
-    x, y = pose[0] - start[0], pose[1] - start[1]
-    return np.array(
-        [at[0] + cos * x - sin * y, at[1] + sin * x + cos * y, pose[2] + turn]
-    )
-
-
-def _moved(
-    columns: Mapping[str, NDArray[np.float64]], start: Pose, at: Pose
-) -> dict[str, NDArray[np.float64]]:
-    tag = np.array([columns[name] for name in TAG])
-    x, y, yaw = _pose(start, at, tag)
-    return dict(columns) | dict(
-        zip(TAG, (x, y, np.arctan2(np.sin(yaw), np.cos(yaw))), strict=True)
-    )
+    cos = math.cos(turn)
+    sin = math.sin(turn)
+    x = pose[0] - start[0]
+    y = pose[1] - start[1]
+    forward = cos * x - sin * y
+    sideways = sin * x + cos * y
+    return np.array([at[0] + forward, at[1] + sideways, pose[2] + turn])
 
 
 async def drive(server: ControllerServer, seed: int) -> None:

@@ -36,13 +36,12 @@ class Engine:
         self._core = build(
             assembly, Pace(ring_frames=RING_FRAMES, queue_rows=QUEUE_ROWS)
         )
-        self.assembly, self.table, self.image = (
-            assembly,
-            assembly.table,
-            self._core.image,
-        )
+        self.assembly = assembly
+        self.table = assembly.table
+        self.image = self._core.image
         self._changes = Changes(self.image)
-        self._store, self._fresh = self._core.snapshots, self._core.snapshots.initial
+        self._store = self._core.snapshots
+        self._fresh = self._core.snapshots.initial
 
     async def __aenter__(self) -> Self:
         await self._core.__aenter__()
@@ -84,19 +83,6 @@ class Engine:
         """Set whether the daemon's state comes with the rows, or is always ``running``."""
         self.image.control.state = IN_ROWS if in_rows else DaemonState.RUNNING
 
-    def _post(self, changes: deque[Change], until: int) -> list[Change]:
-        """Hand over the changes before the tick `until`, as far as there is room."""
-        posted: list[Change] = []
-        while changes and changes[0].tick < until and self._changes.room:
-            change = changes.popleft()
-            if change.packed.size != self._changes.length:
-                raise LogError(
-                    f"the change at tick {change.tick} belongs to another configuration"
-                )
-            self._changes.post(change.number, change.packed, change.tick)
-            posted.append(change)
-        return posted
-
     def _command(self, command: FaultCommand) -> None:
         """Inject or end faults as in the recorded run, before the next tick."""
         book = self._core.faults
@@ -119,24 +105,35 @@ class Engine:
     async def play(self, stretch: Stretch) -> AsyncIterator[Segmented]:
         """Run a stretch; yield its frames."""
         await self._store.restore(self.start_of(stretch).words, stretch.first_tick)
-        rows, period_ns = stretch.rows, self.assembly.base_period_ns
-        changes, faults = deque(stretch.changes), deque(stretch.faults)
-        number, done = self.image.head, 0
+        rows = stretch.rows
+        period_ns = self.assembly.base_period_ns
+        changes = deque(stretch.changes)
+        faults = deque(stretch.faults)
+        number = self.image.head
+        done = 0
         while done < stretch.n_ticks:
             n = min(BATCH_TICKS, stretch.n_ticks - done)
             while faults and faults[0].tick <= stretch.first_tick + done:
                 self._command(faults.popleft())
             if faults:
                 n = min(n, faults[0].tick - stretch.first_tick - done)
-            posted = self._post(changes, stretch.first_tick + done + n)
+            # The changes before that tick, as far as there is room.
+            until = stretch.first_tick + done + n
+            posted: list[Change] = []
+            while changes and changes[0].tick < until and self._changes.room:
+                change = changes.popleft()
+                if change.packed.size != self._changes.length:
+                    raise LogError(
+                        f"the change at tick {change.tick} belongs to another configuration"
+                    )
+                self._changes.post(change.number, change.packed, change.tick)
+                posted.append(change)
             if changes:
                 n = min(n, changes[0].tick - stretch.first_tick - done)
             end = int(np.searchsorted(rows[:, 0], stretch.first_tick + done + n))
             if end > QUEUE_ROWS:
-                n, end = (
-                    1,
-                    int(np.searchsorted(rows[:, 0], stretch.first_tick + done + 1)),
-                )
+                n = 1
+                end = int(np.searchsorted(rows[:, 0], stretch.first_tick + done + 1))
             if not self.image.push_timed_table(np.ascontiguousarray(rows[:end])):
                 raise LogError(f"tick {stretch.first_tick + done} has too many rows")
             rows = rows[end:]
@@ -145,7 +142,8 @@ class Engine:
             # simulated, not planned, time
             frames.words[:, 1] = frames.ticks * period_ns
             yield Segmented(frames, np.full(n, stretch.segment, dtype=np.int64), posted)
-            number, done = number + n, done + n
+            number += n
+            done += n
 
 
 class Comparison:
@@ -163,7 +161,8 @@ class Comparison:
         self._starts = {
             int(s): int(np.argmax(log.segment == s)) for s in np.unique(log.segment)
         }
-        self.n_signals, self.n_ticks = len(outputs), 0
+        self.n_signals = len(outputs)
+        self.n_ticks = 0
         self.difference: str | None = None
 
     def add(self, batch: Segmented) -> None:
@@ -171,13 +170,15 @@ class Comparison:
         if not self.n_signals or self.difference is not None:
             return
         segment = int(batch.segments[0])
-        ticks, start = batch.frames.ticks, self._starts[segment]
+        ticks = batch.frames.ticks
+        start = self._starts[segment]
         end = start + int((self._log.segment == segment).sum())
         rows = start + np.searchsorted(self._ticks[start:end], ticks)
         values = batch.frames.values[:, self._slots]
         values[(batch.frames.status[:, self._slots] & BAD) != 0] = np.nan
         for index, name in enumerate(self._names):
-            recorded, ours = self._log.columns[name][rows], values[:, index].copy()
+            recorded = self._log.columns[name][rows]
+            ours = values[:, index].copy()
             equal = (recorded.view(np.int64) == ours.view(np.int64)) | (
                 np.isnan(recorded) & np.isnan(ours)
             )

@@ -84,7 +84,8 @@ def _inputs(path: Path, measured: MeasuredLog) -> Log:
     rows, own = np.unique(
         np.concatenate(list(keys.values())), axis=0, return_inverse=True
     )
-    columns, begin = {}, 0
+    columns = {}
+    begin = 0
     for name, channel in inputs.items():
         columns[name] = np.full(len(rows), np.nan)
         columns[name][own[begin : begin + len(channel)]] = channel.values

@@ -71,7 +71,8 @@ def plan_exact(
         before = _frame_of(state.words, layout)
         rows = _changes(ticks[part], slots, values[part], status[part], before)
         span = segment, state.tick, int(ticks[last])
-        changes, faults = _changes_in(log, *span), _faults_in(log, *span)
+        changes = _changes_in(log, *span)
+        faults = _faults_in(log, *span)
         n_ticks = last + 1 - begin
         stretches.append(
             Stretch(*span[:2], n_ticks, rows, state.words, changes, faults)
@@ -178,7 +179,8 @@ def _frame_of(
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return values and status codes of the frame in a state, shapes (n_slots,)."""
     live, frame, status = (layout.regions[name] for name in ("live", "frame", "status"))
-    at_frame, at_status = frame.base - live.base, status.base - live.base
+    at_frame = frame.base - live.base
+    at_status = status.base - live.base
     values = state[at_frame : at_frame + frame.length].view(np.float64)
     return values, state[at_status : at_status + status.length]
 
@@ -193,22 +195,19 @@ def _changes(
     """Return a row for every input that differs from the tick before, bit by bit."""
     held = np.vstack([before[0][slots], values])
     codes = np.vstack([before[1][slots], status])
-    _fill_forward(held)
+    # Each NaN becomes the value above it.
+    for channel in np.flatnonzero(np.isnan(held).any(axis=0)):
+        good = ~np.isnan(held[:, channel])
+        last = np.maximum.accumulate(np.where(good, np.arange(len(held)), 0))
+        held[:, channel] = held[last, channel]
     changed = (np.diff(held.view(np.int64), axis=0) != 0) | (
         np.diff(codes, axis=0) != 0
     )
     row, column = np.nonzero(changed)
-    return np.column_stack(
-        [ticks[row], slots[column], held[1:][row, column], codes[1:][row, column]]
-    ).astype(np.float64)
-
-
-def _fill_forward(table: NDArray[np.float64]) -> None:
-    """Replace each NaN by the value above it, in place."""
-    for column in np.flatnonzero(np.isnan(table).any(axis=0)):
-        good = ~np.isnan(table[:, column])
-        last = np.maximum.accumulate(np.where(good, np.arange(len(table)), 0))
-        table[:, column] = table[last, column]
+    new_values = held[1:][row, column]
+    new_codes = codes[1:][row, column]
+    rows = np.column_stack([ticks[row], slots[column], new_values, new_codes])
+    return rows.astype(np.float64)
 
 
 def plan_inputs(log: Log, table: SignalTable, base_period_ns: int) -> Plan:
@@ -239,7 +238,8 @@ def plan_inputs(log: Log, table: SignalTable, base_period_ns: int) -> Plan:
     stretches = []
     for segment in dict.fromkeys(log.segment.tolist()):
         mask = log.segment == segment
-        first, last = int(ticks[mask].min()), int(ticks[mask].max())
+        first = int(ticks[mask].min())
+        last = int(ticks[mask].max())
         if last - first > MAX_TICKS:
             raise LogError(
                 f"{log.path}: segment {segment} lasts more than {MAX_TICKS} ticks"
@@ -259,7 +259,8 @@ def _mode(log: Log, notices: list[str]) -> int:
     given = [mode for mode, names in enumerate(OF_MODE) if used & set(names)]
     if MODE in used:
         modes = log.columns[MODE]
-        first, in_force = 0, set(modes[np.isfinite(modes)].tolist())
+        first = 0
+        in_force = set(modes[np.isfinite(modes)].tolist())
     else:
         first = given[0] if given else 0
         in_force = {first}
@@ -284,19 +285,18 @@ def _rows(
 ) -> NDArray[np.float64]:
     good = ~np.isnan(values)
     rows = np.empty((int(good.sum()), 4))
-    rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3] = (
-        ticks[good],
-        slot,
-        values[good],
-        GOOD,
-    )
+    rows[:, 0] = ticks[good]
+    rows[:, 1] = slot
+    rows[:, 2] = values[good]
+    rows[:, 3] = GOOD
     return rows
 
 
 def _clipped(
     log: Log, table: SignalTable, name: str, notices: list[str]
 ) -> NDArray[np.float64]:
-    signal, values = table[name], log.columns[name]
+    signal = table[name]
+    values = log.columns[name]
     limited = np.clip(values, signal.low, signal.high)
     outside = int((limited != values)[~np.isnan(values)].sum())
     if outside:

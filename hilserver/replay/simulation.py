@@ -44,7 +44,8 @@ class Simulation:
 
     def __init__(self, assembly: Assembly, play: Play) -> None:
         self._daemon = Daemon(offline(assembly), play=play, paused=True)
-        self.image, self.table = self._daemon.image, self._daemon.table
+        self.image = self._daemon.image
+        self.table = self._daemon.table
         self.start = RecordedState(0, 0, self._daemon.core.snapshots.initial.copy())
 
     async def __aenter__(self) -> Self:
@@ -64,7 +65,8 @@ class Simulation:
 
     async def frames(self, n_ticks: int) -> AsyncIterator[Segmented]:
         """Run so many ticks; yield their frames, stamped with simulated time."""
-        scheduler, done = self._daemon.scheduler, 0
+        scheduler = self._daemon.scheduler
+        done = 0
         while done < n_ticks:
             n = min(BATCH_TICKS, n_ticks - done)
             number = self.image.head

@@ -79,11 +79,7 @@ def _held(requirement: Requirement, samples: Array, period_s: float) -> Array:
         return samples[:0]
     if requirement.within_s is None:
         return np.array([samples[:n].min()])
-    return _sliding_minimum(samples, n)
-
-
-def _sliding_minimum(samples: Array, n: int) -> Array:
-    """Return the minimum of every `n` successive samples, shape (len - n + 1,)."""
+    # The minimum of every `n` successive samples.
     from scipy.ndimage import minimum_filter1d  # noqa: PLC0415 - few requirements need it
 
     # scipy centres its window on a sample; the origin moves it to begin there

@@ -52,7 +52,8 @@ class LocalWorkers(AbstractContextManager["LocalWorkers"]):
     """Processes of this computer, with limits for memory."""
 
     def __init__(self, count: int, memory_mb: float) -> None:
-        self.count, self._memory_mb = count, memory_mb
+        self.count = count
+        self._memory_mb = memory_mb
         self._others = set(multiprocessing.active_children())
         self._pool = self._new()
 
@@ -131,33 +132,28 @@ def outcomes(
             pending[workers.submit(job, batch)] = batch
         if not pending:
             return
-        results, lost = _taken(pending, workers)
+        # The machines of workers that died are lost, and driven again.
+        done, _ = wait(pending, return_when=FIRST_COMPLETED)
+        errors = [error for future in done if (error := future.exception()) is not None]
+        if any(map(workers.means_death, errors)):
+            # in a pool of processes all fail together, and it is renewed
+            done, _ = wait(pending)
+            workers.renew()
+        results = []
+        lost = list[SentMachine]()
+        for future in done:
+            sent = pending.pop(future)
+            error = future.exception()
+            if error is None:
+                results.append(future.result())
+            elif workers.means_death(error):
+                lost += sent
+            else:
+                raise error
         for result in results:
             yield _checked(result, mixed)
         for machine in lost:
             yield _checked(_alone(job, machine, workers), mixed)
-
-
-def _taken(
-    pending: "dict[Future[Result], list[SentMachine]]", workers: Workers
-) -> tuple[list[Result], list[SentMachine]]:
-    """Wait for finished batches; return results, and the machines of workers that died."""
-    done, _ = wait(pending, return_when=FIRST_COMPLETED)
-    errors = [error for future in done if (error := future.exception()) is not None]
-    if any(map(workers.means_death, errors)):
-        # in a pool of processes all fail together, and it is renewed
-        done, _ = wait(pending)
-        workers.renew()
-    results, lost = [], list[SentMachine]()
-    for future in done:
-        batch, error = pending.pop(future), future.exception()
-        if error is None:
-            results.append(future.result())
-        elif workers.means_death(error):
-            lost += batch
-        else:
-            raise error
-    return results, lost
 
 
 def _alone(job: SweepJob, machine: SentMachine, workers: Workers) -> Result:

@@ -57,12 +57,10 @@ class ControllerDriver:
         leases: Leases,
         period_s: float,
     ) -> None:
-        self._make, self._image, self._table, self._period_s = (
-            make,
-            image,
-            table,
-            period_s,
-        )
+        self._make = make
+        self._image = image
+        self._table = table
+        self._period_s = period_s
         self._leases = leases
         self._signals = NewestValues(image, table)
         self._known: dict[str, Signal] = {}
@@ -75,7 +73,9 @@ class ControllerDriver:
         """Create the controller of a machine."""
         random.seed(seed)
         np.random.seed(seed % 2**32)  # noqa: NPY002 - a controller may use it unseeded
-        self._signals.seed, self.written, self._newest = seed, [], {}
+        self._signals.seed = seed
+        self.written = []
+        self._newest = {}
         self._controller = self._make()
         if not callable(self._controller):
             raise WrongCommand("the controller cannot be called with (time_s, signals)")

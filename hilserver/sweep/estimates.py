@@ -56,7 +56,23 @@ def influences(parameters: dict[str, Array], margin: Array) -> list[Influence]:
             Influence((name,), r, _fisher(r, len(ranks)), explained(values, ranks))
         )
     found.sort(key=lambda item: -item.strength)
-    return _grouped(found, drawn)
+    # Parameters whose draws are correlated are a group; the strongest one represents it.
+    groups: list[Influence] = []
+    for one in found:
+        (own,) = one.names
+        for k, group in enumerate(groups):
+            alike = (
+                abs(_correlation(drawn[own], drawn[other])) for other in group.names
+            )
+            if max(alike) > TOGETHER:
+                names = (*group.names, own)
+                groups[k] = Influence(
+                    names, group.rank_correlation, group.interval, group.strength
+                )
+                break
+        else:
+            groups.append(one)
+    return groups
 
 
 def explained(values: Array, ranks: Array) -> float:
@@ -78,7 +94,8 @@ def explained(values: Array, ranks: Array) -> float:
 
 
 def _correlation(a: Array, b: Array) -> float:
-    a, b = a - a.mean(), b - b.mean()
+    a = a - a.mean()
+    b = b - b.mean()
     size = math.sqrt(float((a**2).sum()) * float((b**2).sum()))
     return float((a * b).sum()) / size if size > 0.0 else 0.0
 
@@ -90,32 +107,13 @@ def _fisher(r: float, n: int) -> tuple[float, float]:
     return math.tanh(math.atanh(r) - width), math.tanh(math.atanh(r) + width)
 
 
-def _grouped(found: list[Influence], drawn: dict[str, Array]) -> list[Influence]:
-    """Group parameters whose draws are correlated; the strongest one represents the group."""
-    groups: list[Influence] = []
-    for item in found:
-        (name,) = item.names
-        for k, group in enumerate(groups):
-            alike = (
-                abs(_correlation(drawn[name], drawn[other])) for other in group.names
-            )
-            if max(alike) > TOGETHER:
-                names = (*group.names, name)
-                groups[k] = Influence(
-                    names, group.rank_correlation, group.interval, group.strength
-                )
-                break
-        else:
-            groups.append(item)
-    return groups
-
-
 def median_interval(values: Array) -> tuple[float, float, float]:
     """Return the median and its exact interval from order statistics."""
     ordered = np.sort(values)
     n = len(ordered)
     k = int(stats.binom.ppf((1.0 - LEVEL) / 2.0, n, 0.5))
-    low, high = max(k - 1, 0), min(n - k, n - 1)
+    low = max(k - 1, 0)
+    high = min(n - k, n - 1)
     return float(np.median(ordered)), float(ordered[low]), float(ordered[high])
 
 

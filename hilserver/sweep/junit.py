@@ -12,17 +12,28 @@ from hilserver.sweep.table import REFUSED, MachineTable
 def write_junit(path: Path, table: MachineTable) -> None:
     """Write a test suite; a requirement that too few machines meet fails."""
     driven = np.array([status != REFUSED for status in table.status], dtype=bool)
-    shares, name = table.about["shares"], str(table.about["sweep"])
-    cases, failures = [], 0
+    shares = table.about["shares"]
+    name = str(table.about["sweep"])
+    cases = []
+    failures = 0
     for requirement, margins in table.margins.items():
-        met, n = int((margins[driven] >= 0.0).sum()), int(driven.sum())
+        met = int((margins[driven] >= 0.0).sum())
+        n = int(driven.sum())
         low, high = exact_interval(met, n)
         case = ET.Element("testcase", classname=name, name=requirement)
         text = f"{met} of {n} machines meet it: {met / max(n, 1):.4f} ({low:.4f} .. {high:.4f})"
         if met < shares[requirement] * n or n == 0:
             failures += 1
             failure = ET.SubElement(case, "failure", message=text)
-            failure.text = _worst(table, margins)
+            order = np.argsort(
+                np.where(np.isnan(margins), -np.inf, margins), kind="stable"
+            )
+            lines = []
+            for row in order[:10].tolist():
+                if table.status[row] != REFUSED:
+                    why = table.message[row] or f"margin {margins[row]:g}"
+                    lines.append(f"machine {table.index[row]}: {why}")
+            failure.text = "\n".join(lines)
         else:
             ET.SubElement(case, "system-out").text = text
         cases.append(case)
@@ -31,15 +42,3 @@ def write_junit(path: Path, table: MachineTable) -> None:
     )
     suite.extend(cases)
     ET.ElementTree(suite).write(path, encoding="utf-8", xml_declaration=True)
-
-
-def _worst(
-    table: MachineTable, margins: "np.ndarray[tuple[int], np.dtype[np.float64]]"
-) -> str:
-    order = np.argsort(np.where(np.isnan(margins), -np.inf, margins), kind="stable")
-    lines = [
-        f"machine {table.index[row]}: {table.message[row] or f'margin {margins[row]:g}'}"
-        for row in order[:10].tolist()
-        if table.status[row] != REFUSED
-    ]
-    return "\n".join(lines)

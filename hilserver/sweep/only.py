@@ -41,7 +41,23 @@ def drive_again(prepared: PreparedSweep, index: int, folder: Path) -> MachineOut
     (folder / CONFIG).write_text(
         yaml.safe_dump(data, sort_keys=False), encoding="utf-8"
     )
-    scenario = _scenario(prepared, machine, rig.written)
+    # The controller's commands are steps of the scenario.
+    base = prepared.job.scenario
+    period_s = prepared.assembly.base_period_ns * 1e-9
+    steps = [
+        Step(at_s=tick * period_s, write={n: _plain(v) for n, v in values.items()})
+        for tick, values in rig.written
+    ]
+    whole = sorted((*base.steps, *steps), key=lambda step: step.at_s)
+    if len(whole) > MAX_STEPS:
+        raise FailedError(
+            f"the controller commanded {len(steps)} times, but a scenario can hold only"
+            f" {MAX_STEPS} steps;"
+            " choose a longer every_ms or a shorter drive"
+        )
+    title = f"machine {machine.index} of {prepared.job.path.name}"
+    scenario = scenario_of(base, machine)
+    scenario = scenario.changed(scenario=title, steps=tuple(whole))
     text = as_yaml(scenario.model_dump(mode="json", exclude_defaults=True))
     (folder / SCENARIO).write_text(text, encoding="utf-8")
     margins = asyncio.run(_record(prepared, machine, scenario, folder))
@@ -61,7 +77,8 @@ async def _record(
     prepared: PreparedSweep, machine: SentMachine, scenario: Scenario, folder: Path
 ) -> tuple[float, ...]:
     """Play the scenario with the written configuration; return the margins of the recording."""
-    job, assembly = prepared.job, assemble(folder / CONFIG)
+    job = prepared.job
+    assembly = assemble(folder / CONFIG)
     if (
         assembly.composition.parameters.numbers.tobytes()
         != np.array(machine.p).tobytes()
@@ -79,29 +96,6 @@ async def _record(
                 kept.append(batch.frames.values[:, slots])
     columns = dict(zip(names, np.vstack(kept).T, strict=True))
     return margins_of(job, judge, assembly.base_period_ns, columns)
-
-
-def _scenario(
-    prepared: PreparedSweep,
-    machine: SentMachine,
-    written: list[tuple[int, dict[str, Any]]],
-) -> Scenario:
-    """Return the scenario played, with a controller's commands as steps."""
-    base, period_s = prepared.job.scenario, prepared.assembly.base_period_ns * 1e-9
-    steps = [
-        Step(at_s=tick * period_s, write={n: _plain(v) for n, v in values.items()})
-        for tick, values in written
-    ]
-    whole = sorted((*base.steps, *steps), key=lambda step: step.at_s)
-    if len(whole) > MAX_STEPS:
-        raise FailedError(
-            f"the controller commanded {len(steps)} times, but a scenario can hold only"
-            f" {MAX_STEPS} steps;"
-            " choose a longer every_ms or a shorter drive"
-        )
-    title = f"machine {machine.index} of {prepared.job.path.name}"
-    scenario = scenario_of(base, machine)
-    return scenario.changed(scenario=title, steps=tuple(whole))
 
 
 def _plain(value: Any) -> Any:

@@ -95,7 +95,8 @@ class PreparedSweep:
 
     def machine(self, index: int) -> SentMachine:
         """Return the machine with an index, the same on every computer."""
-        values, seed = self.draws.values(index), self.draws.plant_seed(index)
+        values = self.draws.values(index)
+        seed = self.draws.plant_seed(index)
         faults = tuple(self.draws.faults_of(index))
         try:
             robot = replace(self.robot_with(values), seed=seed)
@@ -121,14 +122,22 @@ class PreparedSweep:
 
 def prepare(path: Path, config_path: Path | None = None) -> PreparedSweep:
     """Load a sweep and check all that it names; ConfigError has a line per complaint."""
-    sweep, path = load(path, Sweep), path.resolve()
+    sweep = load(path, Sweep)
+    path = path.resolve()
     if config_path is None and sweep.config is not None:
         config_path = path.parent / sweep.config
     config = load_config(config_path)
     folder = Path.cwd() if config_path is None else config_path.resolve().parent
     findings, patch = _findings(sweep.from_, path, config)
     with_controller = _with_controller(config, sweep.controller, path)
-    assembly = _assembled(with_controller, folder, patch, path, sweep.controller)
+    # The robot with its controller, and nothing that listens or connects.
+    with placed(path, () if sweep.controller is None else ("controller",)):
+        assembly = assemble_config(quiet(with_controller), folder, patch)
+    if any(block.model is not None for block in assembly.composition.blocks):
+        raise ConfigError(
+            f"{place(folder / 'config.yaml', ('blocks',))}a sweep cannot restart an FMU for"
+            " every machine; leave it out"
+        )
     table = table_of(
         (block.name, block.declaration) for block in assembly.composition.blocks
     )
@@ -137,7 +146,13 @@ def prepare(path: Path, config_path: Path | None = None) -> PreparedSweep:
     draws = _draws(sweep, path, assembly, table, joint)
     derived = () if sweep.drive.path is None else (PATH_ERROR,)
     Judge(sweep.require, assembly.table, path, derived)
-    _check_times(sweep, path, n_ticks * assembly.base_period_ns * 1e-9)
+    duration_s = n_ticks * assembly.base_period_ns * 1e-9
+    for index, requirement in enumerate(sweep.require):
+        if requirement.lasts_s > duration_s:
+            raise ConfigError(
+                f"{place(path, ('require', index))}'{requirement.name}' needs a drive of"
+                f" {requirement.lasts_s:g} s, but this one ends after {duration_s:g} s"
+            )
     job = SweepJob(
         _key(sweep, config, scenario, findings, path),
         assembly.config,
@@ -150,24 +165,6 @@ def prepare(path: Path, config_path: Path | None = None) -> PreparedSweep:
     )
     robot = assembly.robot
     return PreparedSweep(job, with_controller, assembly, robot, table, draws, left_out)
-
-
-def _assembled(
-    config: Config,
-    folder: Path,
-    patch: Patch | None,
-    path: Path,
-    controller: TestedController | None,
-) -> Assembly:
-    """Assemble the robot with its controller, and nothing that listens or connects."""
-    with placed(path, () if controller is None else ("controller",)):
-        assembly = assemble_config(quiet(config), folder, patch)
-    if any(block.model is not None for block in assembly.composition.blocks):
-        raise ConfigError(
-            f"{place(folder / 'config.yaml', ('blocks',))}a sweep cannot restart an FMU for"
-            " every machine; leave it out"
-        )
-    return assembly
 
 
 def _with_controller(
@@ -211,15 +208,6 @@ def _drive(sweep: Sweep, path: Path, assembly: Assembly) -> tuple[Scenario, int]
     return scenario, max(round(duration_s * 1e9 / assembly.base_period_ns), 1)
 
 
-def _check_times(sweep: Sweep, path: Path, duration_s: float) -> None:
-    for index, requirement in enumerate(sweep.require):
-        if requirement.lasts_s > duration_s:
-            raise ConfigError(
-                f"{place(path, ('require', index))}'{requirement.name}' needs a drive of"
-                f" {requirement.lasts_s:g} s, but this one ends after {duration_s:g} s"
-            )
-
-
 # --- where the machines come from -----------------------------------------------------------------
 
 
@@ -228,7 +216,8 @@ def _findings(
 ) -> tuple[tuple[Path, Findings] | None, Patch | None]:
     if source.findings is None:
         return None, None
-    file, where = path.parent / source.findings, place(path, ("from", "findings"))
+    file = path.parent / source.findings
+    where = place(path, ("from", "findings"))
     try:
         findings = Findings.model_validate_json(read_small(file, _MOST_BYTES))
     except OSError as error:
@@ -260,7 +249,8 @@ def _joint(
 ) -> tuple[JointDraw | None, tuple[str, ...]]:
     if found is None or found[1].joint is None:
         return None, ()
-    joint, where = found[1].joint, place(path, ("from", "findings"))
+    joint = found[1].joint
+    where = place(path, ("from", "findings"))
     causes = {term.cause for term in TERMS.values()}
     mine = [k for k, n in enumerate(joint.parameters) if n in TERMS or n in causes]
     left_out = tuple(n for k, n in enumerate(joint.parameters) if k not in mine)

@@ -72,7 +72,14 @@ class Rig:
             [s.period_ticks for s in assembly.slices if s.compiled], dtype=np.int64
         )
         self.driver = self._driver(assembly)
-        self._stage()
+        # All values of the scenario go into the queue.
+        core, played = self._core, self.job
+        stage = core.stage()
+        stage.check(Play(played.scenario, played.scenario_path))
+        for index, item in enumerate(played.sweep.faults):
+            with placed(played.path, ("faults", index, "fault")):
+                core.faults.check(item.fault)
+        stage.play(played.scenario.changed(faults=()))
         self._fresh = self._image.words.copy()
 
     def _driver(self, assembly: Assembly) -> ControllerDriver | None:
@@ -117,9 +124,11 @@ class Rig:
 
     def _begin(self, machine: SentMachine, packed: NDArray[np.float64]) -> None:
         """Make the robot that machine, before its first tick."""
-        image, regions = self._image, self._image.layout.regions
+        image = self._image
+        regions = self._image.layout.regions
         image.words[:] = self._fresh
-        p, x = regions["p"].base, regions["x"]
+        p = regions["p"].base
+        x = regions["x"]
         image.values[p : p + len(packed)] = packed
         image.values[x.base : x.base + x.length] = 0.0
         for word, value in machine.state.items():
@@ -132,24 +141,16 @@ class Rig:
                     image.values[base + number] = drawn
         faults = scenario_of(self.job.scenario, machine).seeded_faults
         if faults:
-            parameters, events = Parameters.of(packed), self._core.events
+            parameters = Parameters.of(packed)
+            events = self._core.events
             book = faults_of(image, self._table, self._period_ns, parameters, events)
             book.inject(*faults, start_tick=0)
         if self.driver is not None:
             self.driver.begin(machine.seed)
 
-    def _stage(self) -> None:
-        """Check scenario and faults, and put all values of the scenario into the queue."""
-        core, job = self._core, self.job
-        stage = core.stage()
-        stage.check(Play(job.scenario, job.scenario_path))
-        for index, item in enumerate(job.sweep.faults):
-            with placed(job.path, ("faults", index, "fault")):
-                core.faults.check(item.fault)
-        stage.play(job.scenario.changed(faults=()))
-
     def _run(self) -> None:
-        n, driver = self.job.n_ticks, self.driver
+        n = self.job.n_ticks
+        driver = self.driver
         if driver is None:
             self._advance(0, n)
             return
@@ -220,7 +221,8 @@ def distance_to_way(x_m: Array, y_m: Array, way: Array) -> Array:
     """
     nearest = np.full(len(x_m), np.inf)
     for (ax, ay), (bx, by) in pairwise(way.tolist()):
-        dx, dy = bx - ax, by - ay
+        dx = bx - ax
+        dy = by - ay
         length2 = dx * dx + dy * dy
         along = np.zeros(len(x_m))
         if length2 > 0.0:

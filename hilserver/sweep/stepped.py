@@ -61,7 +61,10 @@ class Stepped:
         """Drive and return the margins; _Failed if there are none."""
         job = self.job
         config = Config.model_validate(machine_config(job.config, job.folder, machine))
-        assembly = assemble_config(_reachable(config), job.folder)
+        # Only programs of this computer can reach its server.
+        opcua = type(config.opcua)(endpoint=_ADDRESS)
+        reachable = config.changed(opcua=opcua, control={"source": "opcua"})
+        assembly = assemble_config(reachable, job.folder)
         play = Play(scenario_of(job.scenario, machine), job.scenario_path)
         daemon = Daemon(assembly, play=play, paused=True, links=(opcua_server.parts,))
         async with daemon:
@@ -106,7 +109,9 @@ class _Watch:
     """Collects the values of every tick and the controller's commands."""
 
     def __init__(self, daemon: Daemon, kept: tuple[str, ...], n_ticks: int) -> None:
-        self._daemon, self._n, self._done = daemon, n_ticks, 0
+        self._daemon = daemon
+        self._n = n_ticks
+        self._done = 0
         self._slots = [daemon.table.slot(name) for name in kept]
         self._inputs = [
             s for s in daemon.table if s.writable and not s.is_array and not s.hidden
@@ -116,7 +121,8 @@ class _Watch:
         self.values = np.zeros((len(kept), n_ticks))
         self.written: list[tuple[int, dict[str, Any]]] = []
         # set by the last tick, or by a problem
-        self.over, self.problem = asyncio.Event(), ""
+        self.over = asyncio.Event()
+        self.problem = ""
         daemon.scheduler.after_batch.append(self._look)
 
     @property
@@ -133,7 +139,8 @@ class _Watch:
         )
 
     def _look(self) -> None:
-        image, control = self._daemon.image, self._daemon.control
+        image = self._daemon.image
+        control = self._daemon.control
         if n := image.head - self._next:
             frames = read_frames(image, self._next, n)
             self._next += n
@@ -154,7 +161,8 @@ class _Watch:
 
     def _take(self, ticks: Any, values: Any) -> None:
         inside = ticks < self._n
-        ticks, values = ticks[inside], values[inside]
+        ticks = ticks[inside]
+        values = values[inside]
         if not len(ticks):
             return
         if ticks[0] == 0:  # after a Reset the drive begins anew
@@ -168,13 +176,8 @@ class _Watch:
             self.written.append(
                 (int(ticks[row]), {s.name: _typed(s, v) for s, v in signals})
             )
-        self._newest, self._done = inputs[-1], int(ticks[-1]) + 1
-
-
-def _reachable(config: Config) -> Config:
-    """Return the robot with a server that only programs of this computer can reach."""
-    opcua = type(config.opcua)(endpoint=_ADDRESS)
-    return config.changed(opcua=opcua, control={"source": "opcua"})
+        self._newest = inputs[-1]
+        self._done = int(ticks[-1]) + 1
 
 
 def _typed(signal: Signal, value: float) -> bool | int | float:

@@ -81,13 +81,16 @@ def table_of(
 ) -> MachineTable:
     """Return the finished machines, in the order of the indices."""
     found = [index for index in indices if index in journal.done]
-    draws, names = prepared.draws, prepared.draws.names
+    draws = prepared.draws
+    names = prepared.draws.names
     values = np.empty((len(names), len(found)))
     faults = np.zeros((len(draws.faults), len(found)))
     margins = np.full((len(prepared.sweep.require), len(found)), np.nan)
-    status, message = [], []
+    status = []
+    message = []
     for row, index in enumerate(found):
-        drawn, outcome = draws.values(index), journal.done[index]
+        drawn = draws.values(index)
+        outcome = journal.done[index]
         values[:, row] = [drawn[name] for name in names]
         for number, _ in draws.faults_of(index):
             faults[number, row] = 1.0

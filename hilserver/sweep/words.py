@@ -43,7 +43,8 @@ def details(table: MachineTable) -> str:
 
 def scope(table: MachineTable) -> str:
     """Return whether the share concerns one machine or many."""
-    one, many = table.about["of_one_machine"], table.about["population"]
+    one = table.about["of_one_machine"]
+    many = table.about["population"]
     if one and many:
         return (
             "The machines are one machine with the uncertainty left by its diagnosis, and also"
@@ -107,14 +108,10 @@ def compare(a: MachineTable, b: MachineTable) -> str:
     LogError if the machines differ.
     """
     mine, other = _shared(a, b)
-    passed_a, passed_b = (
-        np.array([t.status[row] == PASSED for row in rows], dtype=bool)
-        for t, rows in ((a, mine), (b, other))
-    )
-    only_a, only_b = (
-        int((passed_a & ~passed_b).sum()),
-        int((~passed_a & passed_b).sum()),
-    )
+    passed_a = np.array([a.status[row] == PASSED for row in mine], dtype=bool)
+    passed_b = np.array([b.status[row] == PASSED for row in other], dtype=bool)
+    only_a = int((passed_a & ~passed_b).sum())
+    only_b = int((~passed_a & passed_b).sum())
     both = int((passed_a & passed_b).sum())
     lines = [
         f"{len(mine)} machines, the same in both",
@@ -142,11 +139,12 @@ def _shared(a: MachineTable, b: MachineTable) -> tuple[list[int], list[int]]:
     """Return the rows of the machines that are in both."""
     rows = {int(index): row for row, index in enumerate(b.index)}
     pairs = [(row, rows[int(i)]) for row, i in enumerate(a.index) if int(i) in rows]
-    mine, other = [p[0] for p in pairs], [p[1] for p in pairs]
-    same = set(a.parameters) == set(b.parameters) and all(
-        np.array_equal(values[mine], b.parameters[name][other])
-        for name, values in a.parameters.items()
-    )
+    mine = [p[0] for p in pairs]
+    other = [p[1] for p in pairs]
+    same = a.parameters.keys() == b.parameters.keys()
+    for name in a.parameters if same else ():
+        of_a = a.parameters[name][mine]
+        same = same and np.array_equal(of_a, b.parameters[name][other])
     if not pairs or not same or not np.array_equal(a.seed[mine], b.seed[other]):
         raise LogError(
             "the two sweeps have different machines: compare sweeps with the same seed, population"

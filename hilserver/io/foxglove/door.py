@@ -126,13 +126,11 @@ class ViewerDoor:
     ) -> None:
         async with time_limit(HEAD_S):
             head = await reader.readuntil(b"\r\n\r\n")
-        named = [
-            value.strip().decode("latin-1").rstrip("/").lower()
-            for name, _, value in (
-                line.partition(b":") for line in head.split(b"\r\n")[1:]
-            )
-            if name.strip().lower() == b"origin"
-        ]
+        named = []
+        for line in head.split(b"\r\n")[1:]:
+            name, _, value = line.partition(b":")
+            if name.strip().lower() == b"origin":
+                named.append(value.strip().decode("latin-1").rstrip("/").lower())
         may_enter = all(origin in self._origins for origin in named)
         refusal = b"" if may_enter else _REFUSED
         # RFC 6455, 4.1: names separated by commas, in one header or several

@@ -88,7 +88,21 @@ class Diagnostics:
             return
         self._last[path] = value
         kind = self._types[path]
-        converted = _converted(kind, value)
+        converted: (
+            object  # in the type of its variable, None if it has no value in that type
+        )
+        if value is None:
+            converted = None
+        elif kind is ua.VariantType.String:
+            converted = str(value)
+        elif isinstance(value, str):
+            converted = None
+        elif kind is ua.VariantType.Double:
+            converted = float(value)
+        elif kind is ua.VariantType.Boolean:
+            converted = bool(value)
+        else:
+            converted = int(value) if abs(value) < 2**63 else None  # also None for NaN
         if converted is None:
             now = datetime.now(UTC)
             self._places[path].value = FixedDataValue(_NO_VALUE, _WAITING, now, now)
@@ -135,18 +149,3 @@ def _kind_of(path: str, value: Figure) -> ua.VariantType:
         if isinstance(value, python_type):
             return kind
     return ua.VariantType.Int64 if path.endswith("_tick") else ua.VariantType.Double
-
-
-def _converted(kind: ua.VariantType, value: Figure) -> object | None:
-    """Return the figure in the type of its variable, None if it has no value in that type."""
-    if value is None:
-        return None
-    if kind is ua.VariantType.String:
-        return str(value)
-    if isinstance(value, str):
-        return None
-    if kind is ua.VariantType.Double:
-        return float(value)
-    if kind is ua.VariantType.Boolean:
-        return bool(value)
-    return int(value) if abs(value) < 2**63 else None  # also None for NaN

@@ -4,6 +4,7 @@ import fnmatch
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from hilserver.errors import FailedError, reason
@@ -12,7 +13,7 @@ from hilserver.io.recorder.source import FrameSource
 from hilserver.io.recorder.thinning import Thinner
 from hilserver.io.recorder.write_behind import NextFile, WriteBehind
 from hilserver.logs.provenance import make_run
-from hilserver.logs.writer import size_of
+from hilserver.logs.writer import Segmented, size_of
 from hilserver.logs.writing import check_suffix
 
 POLL_S = 0.02
@@ -38,17 +39,7 @@ class Recorder:
         self._source = FrameSource(name, is_inside=settings.waits)
         self._waits = settings.waits or self._source.mark is not None
         self._run = make_run(self._source.description)
-        names = [signal["name"] for signal in self._run["signals"]]
-        for pattern in settings.signals:
-            if not fnmatch.filter(names, pattern):
-                raise FailedError(
-                    f"no signal matches '{pattern}'; see 'hilserver signals' for the names"
-                )
-        self._slots = [
-            slot
-            for slot, name in enumerate(names)
-            if any(fnmatch.fnmatchcase(name, pattern) for pattern in settings.signals)
-        ]
+        self._slots = self._choose(settings.signals)
         self._utc_ns = time.time_ns() - time.monotonic_ns()
         self._series = FileSeries(settings)
         self._writing = WriteBehind(
@@ -58,8 +49,7 @@ class Recorder:
             settings.buffer_bytes,
             self._series.check,
         )
-        self._rotate_s = settings.rotate_s
-        self._file_began = 0
+        self._rotate_s, self._file_began = settings.rotate_s, 0
         self._period_s = int(self._run["base_period_ns"]) * 1e-9
         self._thinner = Thinner(self._slots) if settings.sparse else None
         self._asked_s: float | None = None
@@ -76,6 +66,19 @@ class Recorder:
             self._want_state()
         else:
             self._writing.put(first)
+
+    def _choose(self, patterns: Sequence[str]) -> list[int]:
+        names = [signal["name"] for signal in self._run["signals"]]
+        for pattern in patterns:
+            if not fnmatch.filter(names, pattern):
+                raise FailedError(
+                    f"no signal matches '{pattern}'; see 'hilserver signals' for the names"
+                )
+        return [
+            slot
+            for slot, name in enumerate(names)
+            if any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns)
+        ]
 
     @property
     def path(self) -> Path:
@@ -147,19 +150,8 @@ class Recorder:
             self._writing.put(state)
         dropped = False
         while (batch := self._source.frames()) is not None:
+            self._rotate(batch)
             self._seen += len(batch.frames)
-            # The next file begins when the present one is long enough.
-            first = int(batch.frames.ticks[0])
-            last = int(batch.frames.ticks[-1])
-            began = self._file_began
-            if not 0 < began <= first:  # the first batch, or time has gone back
-                self._file_began = first
-            elif (
-                self._rotate_s is not None
-                and (last - began) * self._period_s >= self._rotate_s
-            ):
-                self._file_began = first
-                self._writing.put(NextFile())
             if self._thinner is not None:
                 batch = self._thinner.thinned(batch)
             dropped |= len(batch.frames) > 0 and not self._writing.put(
@@ -167,6 +159,19 @@ class Recorder:
             )
         if dropped or self._source.lost > self._reported[0]:
             self._want_state()
+
+    def _rotate(self, batch: Segmented) -> None:
+        """Begin the next file when the present one is long enough."""
+        first, last = int(batch.frames.ticks[0]), int(batch.frames.ticks[-1])
+        began = self._file_began
+        if not 0 < began <= first:  # the first batch, or time has gone back
+            self._file_began = first
+        elif (
+            self._rotate_s is not None
+            and (last - began) * self._period_s >= self._rotate_s
+        ):
+            self._file_began = first
+            self._writing.put(NextFile())
 
     def _want_state(self) -> None:
         if self._asked_s is None:
@@ -184,8 +189,7 @@ class Recorder:
             self._source.ask_for_state()
         counts = (self._source.lost, self._writing.dropped)
         if counts != self._reported and now_s - self._reported_s > SAY_AGAIN_S:
-            self._reported = counts
-            self._reported_s = now_s
+            self._reported, self._reported_s = counts, now_s
             _say(f"{_losses(*counts)} so far")
 
     def _growth(self, n_bytes: int) -> str:

@@ -215,7 +215,10 @@ class ShieldLink(Part):
         """Wait until a lost device is back."""
         self._line = None
         line.close()
-        self._tell(f"the line {line.path} is lost")
+        text = f"shield: the line {line.path} is lost"
+        event = Event(EventKind.PEER_LOST, 800, self.status.name, text)
+        with contextlib.suppress(RuntimeError):  # the event loop is closed
+            self._loop.call_soon_threadsafe(self._world.events.publish, event)
         # of that line alone
         self.status.words[[w.FILL, w.RX_LAST, w.EMPTY, w.MORE]] = 0
         while not self._stopping.wait(REOPEN_S):
@@ -223,11 +226,6 @@ class ShieldLink(Part):
                 self._line = self._opened()
                 return self._line
         return None
-
-    def _tell(self, text: str) -> None:
-        event = Event(EventKind.PEER_LOST, 800, self.status.name, f"shield: {text}")
-        with contextlib.suppress(RuntimeError):  # the event loop is closed
-            self._loop.call_soon_threadsafe(self._world.events.publish, event)
 
     # --- the event loop ---------------------------------------------------------------------------
 

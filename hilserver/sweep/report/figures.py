@@ -67,7 +67,8 @@ def failing_region(
     if len(axes) < 2 or not (margins[driven] < 0.0).any():
         return None
     first, second = axes[:2]
-    x, y = table.parameters[first], table.parameters[second]
+    x = table.parameters[first]
+    y = table.parameters[second]
     plot = Plot(
         x=span_of(x[driven]),
         y=span_of(y[driven]),
@@ -93,7 +94,8 @@ def failing_region(
 def _shares(plot: Plot, x: Array, y: Array, fails: NDArray[np.bool_]) -> None:
     """Shade a grid of cells by the share of failing machines in each."""
     n = int(min(max(np.sqrt(len(x) / 8.0), 3), 16))
-    x_edges, y_edges = np.linspace(*plot.x, n + 1), np.linspace(*plot.y, n + 1)
+    x_edges = np.linspace(*plot.x, n + 1)
+    y_edges = np.linspace(*plot.y, n + 1)
     total, _, _ = np.histogram2d(x, y, (x_edges, y_edges))
     failed, _, _ = np.histogram2d(x[fails], y[fails], (x_edges, y_edges))
     for i, j in zip(*np.nonzero(failed), strict=True):
