@@ -177,7 +177,7 @@ def _ros2_control(answer: RobotAnswer) -> dict[str, str]:
 def _quantities(
     robot: RobotParameters,
 ) -> dict[str, Callable[[DriveGeometry], float]]:
-    """Return what a controller is told of the geometry, by name."""
+    """Return the parameters that give a controller the geometry, by name."""
     if robot.is_mecanum:
         return {
             "wheels_radius": lambda g: g.radius_m,

@@ -186,12 +186,12 @@ def test_what_is_no_trajectory_is_one_sentence_and_leaves_nothing(
 
 def test_the_name_of_a_file_is_not_given_to_a_folder(table, tmp_path, capsys):
     log = table(["t_s", "nav.x_m", "nav.y_m"], [[0.0, 1.0, 1.0]])
-    assert run("convert", log, tmp_path / "poses.tum", "--format", "tum") == 1
+    assert run("convert", log, tmp_path / "poses.tum", "--format", "tum") == 2
     assert "choose a name without suffix" in capsys.readouterr().err
     assert not (tmp_path / "poses.tum").exists()
 
 
 def test_all_signals_and_poses_alone_are_not_written_at_once(table, tmp_path, capsys):
     log = table(["t_s", "nav.x_m", "nav.y_m"], [[0.0, 1.0, 1.0]])
-    assert run("convert", log, tmp_path / "out", "--bag", "--format", "tum") == 1
+    assert run("convert", log, tmp_path / "out", "--bag", "--format", "tum") == 2
     assert "choose one" in capsys.readouterr().err

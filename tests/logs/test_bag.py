@@ -355,7 +355,7 @@ def test_what_no_sensor_measured_is_marked_in_the_imu(tmp_path):
     ("words", "said", "code"),
     [
         (["none.csv", "x.mcap"], "no such file", 2),
-        (["in.csv", "x.xlsx"], "end the name in", 1),
+        (["in.csv", "x.xlsx"], "end the name in", 2),
         (["in.csv", "in.csv"], "already exists", 1),
         (["folder", "x.csv"], "contains no bag", 2),
         (["in.csv", "x.csv", "--mapping", "nothing"], "built-in mappings are", 2),
