@@ -20,6 +20,7 @@ MAX_BYTES = 1_000_000
 LIVE_BYTES = 100_000
 MAX_COMPLAINTS = 20
 MAX_NESTING = 50
+_RENAMED = object()
 MAX_VALUES = 100_000  # aliases count as often as they are used
 
 _WANTED = {
@@ -293,11 +294,12 @@ def _mistyped(
     elif isinstance(data, dict):
         for key, value in data.items():
             inner = (
-                result.get(key)
+                result.get(key, _RENAMED)
                 if isinstance(result, Mapping)
-                else getattr(result, key, None)
+                else getattr(result, key, _RENAMED)
             )
-            yield from _mistyped(value, inner, (*at, key))
+            if inner is not _RENAMED:  # by a validator
+                yield from _mistyped(value, inner, (*at, key))
     elif isinstance(data, list) and isinstance(result, Sequence):
         for index, (value, inner) in enumerate(zip(data, result, strict=False)):
             yield from _mistyped(value, inner, (*at, index))

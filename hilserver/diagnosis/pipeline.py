@@ -14,6 +14,7 @@ from hilserver.diagnosis.progress import Report
 from hilserver.diagnosis.regression.stages import foretold
 from hilserver.diagnosis.report.summary import one_line, summary
 from hilserver.diagnosis.schema.evidence import Diagnosis
+from hilserver.diagnosis.schema.findings import Overall
 from hilserver.errors import EXIT_DONE, ConfigError, LogError, UserError
 from hilserver.exchange import DescribedRobot, read_robot
 from hilserver.measured.data import MeasuredLog
@@ -158,6 +159,9 @@ def run(
         described = read_robot(task.robot)
         difference = described.wheel_radius_difference
         files |= configuration(described)
-    if task.formats and diagnosis.robot is not None:
+    is_judged = found.verdict is not Overall.NOT_JUDGED
+    if task.formats and not is_judged and say is not None:
+        say("no files for other programs: nothing about the robot could be judged")
+    if task.formats and is_judged and diagnosis.robot is not None:
         files |= user_files(diagnosis, diagnosis.robot, task.formats, difference)
     return TaskOutcome(line=one_line(found), summary=summary(found), files=files)

@@ -125,6 +125,12 @@ def on_common_times(found: Sequence[Trajectory]) -> list[Trajectory]:
         end_s = min(one.t_s[-1] for one in own)
         t_s = min((one.t_s for one in own), key=len)
         t_s = t_s[(begin_s <= t_s) & (t_s <= end_s)]
+        if not len(t_s):
+            names = ", ".join(one.name for one in own)
+            raise LogError(
+                f"segment {number}: {names} have no time in common, and KITTI needs the same rows;"
+                " write TUM"
+            )
         for one in own:
             x_m, y_m, yaw_rad = one.pose.T
             columns = (x_m, y_m, np.unwrap(yaw_rad))

@@ -71,6 +71,8 @@ class RobotAnswer:
             if term.ci95 is not None and term.name in HELD
         ]
         value = quantity(DriveGeometry.of(self.true))
+        if not halves:
+            return f"{name} {value:.6g} (as configured, no interval)"
         return f"{name} {value:.6g} +- {hypot(*halves):.2g} (95 %)"
 
     def _at(

@@ -28,6 +28,14 @@ class Span:
     # stamps of its first and last row
     start_s: float
     end_s: float
+    recorded: int | None = (
+        None  # number before the log was cut at pauses; None: never cut
+    )
+
+    @property
+    def number_recorded(self) -> int:
+        """Number that the user knows: of the log as it was recorded."""
+        return self.number if self.recorded is None else self.recorded
 
 
 @dataclass(frozen=True, slots=True)

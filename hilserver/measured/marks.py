@@ -64,26 +64,29 @@ def with_marks(log: MeasuredLog, path: Path) -> MeasuredLog:
 def _run_of(log: MeasuredLog, mark: FloorMark) -> int:
     """Return the span that contains a mark; ValueError says why none does."""
     spans = log.spans
-    if mark.segment is not None and mark.segment not in {s.number for s in spans}:
-        numbers = f"{spans[0].number} to {spans[-1].number}"
+    known = {span.number_recorded for span in spans}
+    if mark.segment is not None and mark.segment not in known:
+        numbers = f"{min(known)} to {max(known)}"
         raise ValueError(f"segment {mark.segment} is not in the log; it has {numbers}")
     inside = [
         index
         for index, span in enumerate(spans)
         if span.start_s <= mark.t_s <= span.end_s
-        and mark.segment in (None, span.number)
+        and mark.segment in (None, span.number_recorded)
     ]
     if not inside:
-        first_s = min(s.start_s for s in spans)
-        last_s = max(s.end_s for s in spans)
+        asked = [s for s in spans if mark.segment in (None, s.number_recorded)]
+        first_s = min(span.start_s for span in asked)
+        last_s = max(span.end_s for span in asked)
+        of_what = "log" if mark.segment is None else f"log's segment {mark.segment}"
         raise ValueError(
-            f"t_s {mark.t_s:g} is in no run of the log, whose times go from {first_s:g} to"
+            f"t_s {mark.t_s:g} is in no run of the {of_what}, whose times go from {first_s:g} to"
             f" {last_s:g} s; write the time that the log has there"
         )
     if len(inside) > 1:
         raise ValueError(
             f"t_s {mark.t_s:g} is in {len(inside)} runs of the log; name one of them, as"
-            f" segment: {spans[inside[0]].number}"
+            f" segment: {spans[inside[0]].number_recorded}"
         )
 
     span = spans[inside[0]]

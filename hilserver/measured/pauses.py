@@ -64,7 +64,8 @@ def cut(log: MeasuredLog, edges: list[Pieces]) -> MeasuredLog:
     spans: list[Span] = []
     for span, of_span in zip(log.spans, edges, strict=True):
         for start_s, end_s in of_span:
-            spans.append(Span(len(spans), span.block, start_s, end_s))
+            number = span.number_recorded
+            spans.append(Span(len(spans), span.block, start_s, end_s, number))
     channels = {
         name: _cut(name, channel, edges) for name, channel in log.channels.items()
     }

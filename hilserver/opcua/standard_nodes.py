@@ -62,6 +62,9 @@ class Nodes(MutableMapping[ua.NodeId, Any]):
         try:
             return self._read[node_id]
         except KeyError:
+            # a literal of a client's filter may be anything
+            if not isinstance(node_id, ua.NodeId):
+                raise
             number = self._portion_of.get((node_id.NamespaceIndex, node_id.Identifier))
             if number not in self._unread:
                 raise
@@ -69,6 +72,7 @@ class Nodes(MutableMapping[ua.NodeId, Any]):
         return self._read[node_id]
 
     def __setitem__(self, node_id: ua.NodeId, node: Any) -> None:
+        self.get(node_id)  # otherwise its portion would count it again
         self._read[node_id] = node
 
     def __delitem__(self, node_id: ua.NodeId) -> None:
@@ -80,8 +84,9 @@ class Nodes(MutableMapping[ua.NodeId, Any]):
         return iter(self._read)
 
     def __len__(self) -> int:
-        self._take_all()
-        return len(self._read)
+        # without reading: `TypeTree` asks at every Browse, and no turn of the loop may be long
+        unread = sum(len(portion.node_ids) for portion in self._unread.values())
+        return len(self._read) + unread
 
     def _take_all(self) -> None:
         for number in list(self._unread):

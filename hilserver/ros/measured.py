@@ -31,6 +31,8 @@ INERTIAL: Final = (
 MOST_FRAMES: Final = 200
 NOT_MEASURED: Final = -1.0
 """First element of a covariance of sensor_msgs/Imu if the sensor does not measure the quantity."""
+NOT_DRIVEN: Final = frozenset({"caster", "castor", "drop"})
+"""Words in the names of joints of a base on one axle that turn no driven wheel."""
 UNIT_NORM: Final = 0.1
 """A quaternion whose norm is further from 1 is no orientation."""
 
@@ -99,6 +101,8 @@ class Conventions:
         if not self.is_on_one_axle:
             return named[:1]
 
+        if joint not in self.joints and (self.joints or words & NOT_DRIVEN):
+            return []  # who names joints names all
         sides = [wheel[-1] for wheel in named]
         if "wheel" in words:
             sides += [side[0] for side in ("left", "right") if side in words]

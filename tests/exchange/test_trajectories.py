@@ -184,6 +184,17 @@ def test_what_is_no_trajectory_is_one_sentence_and_leaves_nothing(
     assert not (tmp_path / "out").exists()
 
 
+def test_poses_of_other_times_have_no_rows_in_common(table, tmp_path, capsys):
+    columns = ["t_s", "nav.x_m", "nav.y_m", "measured.nav.x_m", "measured.nav.y_m"]
+    nan = float("nan")
+    early = [(0.1 * i, 1.0, 2.0, nan, nan) for i in range(10)]
+    late = [(2.0 + 0.1 * i, nan, nan, 1.0, 2.0) for i in range(10)]
+    log = table(columns, early + late)
+    assert run("convert", log, tmp_path / "out", "--format", "kitti") == 2
+    assert "no time in common" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_the_name_of_a_file_is_not_given_to_a_folder(table, tmp_path, capsys):
     log = table(["t_s", "nav.x_m", "nav.y_m"], [[0.0, 1.0, 1.0]])
     assert run("convert", log, tmp_path / "poses.tum", "--format", "tum") == 2

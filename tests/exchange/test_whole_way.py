@@ -9,6 +9,7 @@ import pytest
 from hilserver_injector import Recipe, make
 
 from benchmarks.diagnose_worker import measured
+from hilserver.commands import main
 from hilserver.config.root import Config
 from hilserver.daemon.assembly import assemble_config
 from hilserver.diagnosis.engine import diagnose
@@ -108,3 +109,14 @@ def test_what_was_hidden_stands_in_the_file_for_the_real_robot(
         assert abs(written_m - true_m) <= float(half) * unit_m + 1e-6 * true_m
         assert float(half) < 0.03 * float(value)
     assert any(float(half) > 0.0 for _, _, half in said)
+
+
+def test_a_log_that_shows_nothing_gives_no_files(tmp_path, capsys):
+    names = [f"wheel.{wheel}.speed_rpm" for wheel in ("fl", "rl", "fr", "rr")]
+    lines = [",".join(["t_s", *names, "nav.x_m", "nav.y_m"])]
+    lines += [f"{0.1 * row:.1f},0,0,0,0,1.0,2.0" for row in range(300)]
+    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
+    words = ["diagnose", str(tmp_path / "log.csv"), "--for", "ros2_control"]
+    assert main([*words, "-o", str(tmp_path / "out"), "--jobs", "1"]) == 0
+    assert "no files for other programs" in capsys.readouterr().err
+    assert not (tmp_path / "out" / "for").exists()

@@ -20,6 +20,7 @@ from hilserver.exchange import (
     read_robot,
 )
 from hilserver.exchange.geometry import DriveGeometry, patched
+from hilserver.plant.parameters import RobotParameters
 from tests.exchange.robots import (
     BURGER,
     DIFFERENTIAL,
@@ -277,6 +278,11 @@ def test_the_interval_of_a_multiplier_follows_from_those_of_its_causes():
         found.interval("a", lambda g: g.separation_m / 0.2) == "a 0.8 +- 0.0064 (95 %)"
     )
     assert found.interval("b", lambda g: g.left_m / 0.04) == "b 1 +- 0.01 (95 %)"
+
+
+def test_a_number_that_nothing_was_found_about_has_no_interval():
+    text = files_for(RobotAnswer(RobotParameters(), ()), ("ros2_control",))
+    assert "+-" not in text["ros2_control/real_robot.yaml"]
 
 
 def test_a_logs_name_ends_no_comment():

@@ -8,6 +8,7 @@ import pytest
 from asyncua import ua
 
 from hilserver.cache import Shelf
+from hilserver.opcua.browsing import TypeTree
 from hilserver.opcua.server import HardenedServer
 from hilserver.opcua.standard_nodes import SHELF, QuickInternalServer
 
@@ -57,7 +58,7 @@ async def test_what_is_read_is_what_asyncua_builds(built):
     tracemalloc.start()
     try:
         read = await loaded()
-        described_read = len(read.aspace._nodes)
+        described_read = len([*read.aspace._nodes])
         kept, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
@@ -76,8 +77,26 @@ async def test_a_start_reads_only_what_it_needs():
     name = nodes[PROGRAM].attributes[ua.AttributeIds.BrowseName].value.Value.Value.Name
     assert name == "ProgramStateMachineType"
     assert nodes.n_unread == unread - 1
-    assert len(nodes) > 5000
+    n_nodes = len(nodes)
+    assert n_nodes > 5000
+    assert nodes.n_unread == unread - 1
+    assert len([*nodes]) == n_nodes == len(nodes)
     assert nodes.n_unread == 0
+
+
+async def test_a_browse_reads_a_few_portions_and_not_all_in_one_turn():
+    server = HardenedServer()
+    await server.init()
+    nodes = server.iserver.aspace._nodes
+    unread = nodes.n_unread
+    types = TypeTree(server.iserver.aspace)
+    assert len(types.closure(ua.NodeId(ua.ObjectIds.HierarchicalReferences))) > 10
+    assert nodes.n_unread > unread / 2
+
+
+async def test_what_is_no_node_id_is_no_node():
+    nodes = (await loaded()).aspace._nodes
+    assert [nodes.get(literal) for literal in ("abc", 7, None)] == [None] * 3
 
 
 async def test_a_node_is_what_was_last_done_to_it_whenever_its_portion_is_read():

@@ -93,6 +93,18 @@ def test_two_joints_are_all_wheels_of_a_robot_on_one_axle(left, right, named):
     assert found == pytest.approx(speeds)
 
 
+@pytest.mark.parametrize(
+    ("named", "other"),
+    [({}, "wheel_drop"), ({"left_wheel": "fl", "right_wheel": "fr"}, "back_wheel")],
+)
+def test_what_turns_no_driven_wheel_changes_no_speed(named, other):
+    speeds = {"left_wheel": 2.0, "right_wheel": 3.0}
+    others = {f"{other}_left_joint": 0.0, f"{other}_right_joint": 0.0}
+    robot = how(joints=named, is_on_one_axle=True)
+    found = measured.joints(robot, joints(**speeds, **others))
+    assert found == measured.joints(robot, joints(**speeds))
+
+
 def test_joints_that_name_no_wheel_are_told_and_can_be_named():
     speeds = {f"m{i}": 2.0 * RAD_S for i in range(4)}
     plain = how()

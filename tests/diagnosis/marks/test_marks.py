@@ -3,12 +3,16 @@
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from hilserver.config.root import load_config
 from hilserver.diagnosis.engine import judge
 from hilserver.errors import LogError
 from hilserver.measured.floor_marks import FloorMark
+from hilserver.measured.frames import Sampling
 from hilserver.measured.marks import with_marks
+from hilserver.measured.reading import read_measured
 from hilserver.plant.parameters import RobotParameters
 from tests.diagnosis.marks.machines import Machine, Tape, squares
 
@@ -66,6 +70,23 @@ def test_a_wrong_mark_is_one_sentence_with_its_line(tmp_path, marks, says):
     path.write_text(f"marks:\n  - {marks}\n")
     with pytest.raises(LogError, match=f"marks.yaml:2: .*{says}"):
         with_marks(squares(Machine(), TAPE, 1, RUNS)[0], path)
+
+
+def test_a_segment_is_that_of_the_log_also_where_a_pause_cuts_it(tmp_path):
+    rows = ["t_s,segment,wheel.fl.speed_rpm,wheel.fr.speed_rpm"]
+    for segment in (0, 1):
+        times_s = np.arange(0.0, 60.0, 0.1)
+        if segment == 0:  # the recorder pauses
+            times_s = times_s[(times_s < 20.0) | (times_s > 30.0)]
+        rows += [f"{t_s:.1f},{segment},20.0,-20.0" for t_s in times_s]
+    (tmp_path / "log.csv").write_text("\n".join(rows) + "\n")
+    log = read_measured([tmp_path / "log.csv"], None, Sampling.of(load_config(None)))
+    assert len(log.spans) == 3
+    file = tmp_path / "marks.yaml"
+    for t_s, segment, span in ((40.0, 1, 2), (2.0, 1, 2), (40.0, 0, 1)):
+        mark = f"{{t_s: {t_s}, segment: {segment}, x_m: 0, y_m: 0, sd_m: 0.01}}"
+        file.write_text(f"marks: [{mark}]\n")
+        assert [placed.span for placed in with_marks(log, file).marks] == [span]
 
 
 def test_a_pose_shows_more_than_marks(tmp_path):
