@@ -19,6 +19,7 @@ from hilserver.logs.message import CDR_LITTLE_ENDIAN, make_layout
 from hilserver.logs.provenance import tag_ticks
 from hilserver.logs.writer import Segmented, size_of
 from hilserver.ros.types import Types
+from hilserver.status import BAD
 
 Storage = Literal["mcap", "sqlite3"]
 BAG_VERSION: Final = 9
@@ -87,14 +88,16 @@ class BagWriter:
         table["tick"], table["planned_ns"] = frames.ticks, frames.planned_ns
         table["values"] = frames.values[:, self._slots]
         table["status"] = frames.status[:, self._slots]
+        # EduArt's messages hold what is known: a tag that is off has measured nothing
+        known = np.where(table["status"] & BAD, np.nan, table["values"])
         stamps = (frames.planned_ns + self._utc_ns).tolist()
         if self._newest_ns is None:
             self._release(stamps[0])
-        for row, stamp_ns, tick in zip(
-            table, stamps, frames.ticks.tolist(), strict=True
+        for row, values, stamp_ns, tick in zip(
+            table, known, stamps, frames.ticks.tolist(), strict=True
         ):
             self._append(topics.FRAMES, stamp_ns, row.tobytes())
-            for topic, message in self._eduart.messages(tick, stamp_ns, row["values"]):
+            for topic, message in self._eduart.messages(tick, stamp_ns, values):
                 self._append(
                     topics.absolute(topic), stamp_ns, self._types.encode(message)
                 )

@@ -33,7 +33,10 @@ class FloorMark(Section):
         description="straight distance from there; negative: driven backwards",
     )
     yaw_rad: float | None = Field(
-        None, description="heading; of a relative mark: minus the heading at that time"
+        None,
+        ge=-6.3,  # one turn: larger ones are degrees
+        le=6.3,
+        description="heading; of a relative mark: minus the heading at that time",
     )
     sd_m: float = Field(
         gt=0, le=100, description="standard deviation of place or distance"

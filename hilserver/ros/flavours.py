@@ -254,7 +254,8 @@ _DIFF_DRIVE: Final = Flavour(
         EXTRAS["odom"],
         EXTRAS["tf"],
         Published("joint_states", "sensor_msgs/msg/JointState", outgoing.wheel_states),
-        Published("imu", "sensor_msgs/msg/Imu", outgoing.imu, qos=SENSOR_DATA),
+        # reliably, as imu_sensor_broadcaster does: any subscriber may ask for it
+        Published("imu", "sensor_msgs/msg/Imu", outgoing.imu),
     ),
     subscribed=(
         Subscribed("cmd_vel", TWIST, incoming.velocity),

@@ -54,6 +54,8 @@ A_SIDE: Final = (
 TOO_WEAK: Final = "hardly excited: the marks of these runs cannot show it"
 FOLDS: Final = 5
 DRAWS: Final = 999
+FAR_SD: Final = 4.0  # misses in standard deviations of the marks
+FAR_SHARE: Final = 0.1  # of how far a run goes: a search for small errors ends there
 MISFIT: Final = 4.0  # variance; the marks then miss by twice their standard deviations
 
 
@@ -138,6 +140,12 @@ def searched(
     search = replace(search, candidates=shown)
     trial = search.select()
     model = trial.model
+    far = far_off(search)
+    if far and not model.fitted:
+        reasons |= dict.fromkeys((c.cause for c in candidates), far)
+        ends = MarkedEnds(runs.ends({}), None)
+        return ByMarks(reasons=reasons, notices=(far, *lost_runs(runs)), ends=ends)
+
     found = findings_by_marks(search, trial)
     smallest = smallest_by_marks(search, trial)
     unseen = {c.cause for c in candidates} - {one.cause for one in smallest}
@@ -157,6 +165,31 @@ def searched(
         + lost_runs(runs),
         MarkedEnds(runs.ends({}), runs.ends(model.terms) if model.fitted else None),
         ranges_of(runs.stage),
+    )
+
+
+def far_off(search: MarksSearch) -> str:
+    """Return what to say where runs end too far from their marks for a linear search; or nothing.
+
+    The search looks for small changes of the configured robot. Where none explains misses of a
+    good part of a run, "nothing found" would be wrong.
+    """
+    runs, chosen = search.runs, search.chosen
+    residual = runs.residual({})
+    course, first = runs.course({}), runs.stage.segments.first
+    extents_m = []
+    for run in chosen:
+        segment = runs.segments[run]
+        x_m, y_m, _ = (course[first[segment] : first[segment + 1]]).T
+        extents_m.append(float(np.hypot(x_m - x_m[0], y_m - y_m[0]).max()))
+    missed_m = float(np.sqrt(np.mean(_miss_m(runs, residual)[chosen] ** 2)))
+    by_sd = float(np.mean(residual[rows_of(runs, chosen)] ** 2))
+    if by_sd < FAR_SD**2 or missed_m < FAR_SHARE * float(np.median(extents_m)):
+        return ""
+    return (
+        f"the runs end {missed_m:.2g} m from their marks, further than a search for small errors"
+        " of the configured robot reaches: check plant: (or --robot) and the marks, correct what"
+        " is clearly wrong, and diagnose again"
     )
 
 

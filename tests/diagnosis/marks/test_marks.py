@@ -8,6 +8,7 @@ import pytest
 
 from hilserver.config.root import load_config
 from hilserver.diagnosis.engine import judge
+from hilserver.diagnosis.schema.findings import Overall
 from hilserver.errors import LogError
 from hilserver.measured.floor_marks import FloorMark
 from hilserver.measured.frames import Sampling
@@ -52,6 +53,14 @@ def test_a_sound_robot_gives_no_finding(tmp_path, seed):
     found = diagnosed(tmp_path, seed=seed)
     assert found.findings == ()
     assert "wheel_radius_difference" in {d.cause for d in found.smallest_detectable}
+
+
+@pytest.mark.parametrize("size", [0.05, 0.3, 0.6])
+def test_a_robot_far_from_its_configuration_is_never_sound(tmp_path, size):
+    found = diagnosed(tmp_path, left_radius=1.0 - size / 2, right_radius=1.0 + size / 2)
+    if not found.findings:
+        assert found.verdict is Overall.NOT_JUDGED
+        assert any("from their marks" in notice for notice in found.notices)
 
 
 @pytest.mark.parametrize(

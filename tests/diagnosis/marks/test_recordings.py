@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hilserver.diagnosis.findings.other_logs import gain_on
+from hilserver.diagnosis.findings.other_logs import OtherLogs
 from hilserver.diagnosis.marks.judging import judge_marks
 from hilserver.diagnosis.regression.gain import HORIZON_S
 from hilserver.diagnosis.replay.model import Model
@@ -53,5 +53,6 @@ def test_ends_of_squares_gain_on_circles_nearly_what_the_whole_pose_gains(tmp_pa
         cause for finding in found.findings for cause in finding.causes
     }
     patch = {"pose": Model(found.fitted)}
-    gain = gain_on(circles, robot, patch, HORIZON_S, rng, of_patch=True)
+    others = OtherLogs.of(circles, robot, patch, HORIZON_S)
+    gain = others.gains(rng, of_patch=True)
     assert gain["position_m"].ratio >= 0.8 * WHOLE_POSE
