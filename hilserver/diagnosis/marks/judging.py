@@ -54,8 +54,10 @@ A_SIDE: Final = (
 TOO_WEAK: Final = "hardly excited: the marks of these runs cannot show it"
 FOLDS: Final = 5
 DRAWS: Final = 999
-FAR_SD: Final = 4.0  # misses in standard deviations of the marks
-FAR_SHARE: Final = 0.1  # of how far a run goes: a search for small errors ends there
+FAR_FROM_MARKS_SD: Final = 4.0  # misses in standard deviations of the marks
+SMALL_ERRORS_SHARE: Final = (
+    0.1  # of how far a run goes: a search for small errors ends there
+)
 MISFIT: Final = 4.0  # variance; the marks then miss by twice their standard deviations
 
 
@@ -184,7 +186,9 @@ def far_off(search: MarksSearch) -> str:
         extents_m.append(float(np.hypot(x_m - x_m[0], y_m - y_m[0]).max()))
     missed_m = float(np.sqrt(np.mean(_miss_m(runs, residual)[chosen] ** 2)))
     by_sd = float(np.mean(residual[rows_of(runs, chosen)] ** 2))
-    if by_sd < FAR_SD**2 or missed_m < FAR_SHARE * float(np.median(extents_m)):
+    if by_sd < FAR_FROM_MARKS_SD**2 or missed_m < SMALL_ERRORS_SHARE * float(
+        np.median(extents_m)
+    ):
         return ""
     return (
         f"the runs end {missed_m:.2g} m from their marks, further than a search for small errors"
