@@ -48,7 +48,8 @@ class WriteAtOnce(WriteBehind):
         return True
 
     def _run(self) -> None:
-        """Nothing is left for a thread."""
+        """Open the file; nothing else is left for a thread."""
+        self._begin()
 
 
 def recorder_of(image: str, path: Path) -> Recorder:

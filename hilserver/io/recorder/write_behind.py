@@ -91,16 +91,19 @@ class WriteBehind:
         self._thread.join(timeout_s)
         return not self._thread.is_alive()
 
-    def _run(self) -> None:
+    def _begin(self) -> None:
         try:
             # a database belongs to the thread that has opened it
             self._writer = self._next_writer()
         except Exception as error:  # noqa: BLE001 -- handed to the main thread, which raises it
             self.error = error
-            return
         finally:
             self._is_begun.set()
 
+    def _run(self) -> None:
+        self._begin()
+        if self.error is not None:
+            return
         try:
             self._write_all()
             self._writer.close()
