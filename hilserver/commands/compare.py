@@ -8,11 +8,13 @@ import argparse
 import math
 from pathlib import Path
 
-from hilserver.comparison import as_text, compare
+from hilserver.comparison import Curves, as_text, compare
 from hilserver.errors import EXIT_DIFFERENT, EXIT_DONE, LogError
 from hilserver.logs.reading import read_pieces
+from hilserver.program.whole_file import write_whole
 
 EXAMPLE = "hilserver compare before.mcap after.mcap --tolerance 'pose.*=1e-6'"
+FILE = "comparison.json"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -27,6 +29,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SIGNAL=X",
         help="difference that counts as none, in the signal's unit; * fits several signals;"
         " may be repeated; default: every bit counts",
+    )
+    parser.add_argument(
+        "-o",
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="write comparison.json there, too: the curves of both for a plot",
     )
 
 
@@ -47,6 +56,15 @@ def run(args: argparse.Namespace) -> int:
     """Compare; 0 if equal, 4 if not, 2 if they cannot be compared."""
     if args.a.exists() and args.b.exists() and args.a.samefile(args.b):
         raise LogError(f"{args.b}: is the same file; give another recording")
-    found = compare(read_pieces(args.a), read_pieces(args.b), args.tolerance)
+    curves = Curves() if args.out is not None else None
+    found = compare(
+        read_pieces(args.a),
+        read_pieces(args.b),
+        args.tolerance,
+        see=curves.add if curves is not None else None,
+    )
+    if curves is not None:
+        args.out.mkdir(parents=True, exist_ok=True)
+        write_whole(args.out / FILE, curves.as_json(found))
     print(as_text(found))
     return EXIT_DONE if found.is_equal else EXIT_DIFFERENT

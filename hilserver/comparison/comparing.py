@@ -1,7 +1,7 @@
 """The first difference of each signal, and how it grows."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -94,6 +94,7 @@ def compare(
     a: Iterator[Log],
     b: Iterator[Log],
     tolerances: Sequence[tuple[str, float]] = (),
+    see: Callable[[Shared, list[str]], None] | None = None,
 ) -> RecordingComparison:
     """Compare two recordings row by row, by segment and time.
 
@@ -103,6 +104,8 @@ def compare(
         Pieces of each recording, in order; a piece is dropped before the next one is read.
     tolerances : sequence of (pattern, float)
         Absolute differences that are none, in the signal's unit; the last pattern that fits counts.
+    see : callable, optional
+        Gets the rows that both have, a piece at a time, and the names of their common signals.
 
     Raises
     ------
@@ -127,6 +130,8 @@ def compare(
     begun: tuple[int, int] | None = None
     rows = equal_before = 0
     for piece in shared_rows(first, second):
+        if see is not None:
+            see(piece, names)
         found = [
             one for name in names if (one := differing(name, piece, allowed[name]))
         ]

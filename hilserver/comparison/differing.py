@@ -45,6 +45,17 @@ def differing(name: str, piece: Shared, allowed: float) -> Differing | None:
     if np.array_equal(a.view(np.int64), b.view(np.int64)):
         return None
 
+    size = sizes(name, a, b)
+    at = np.flatnonzero(size > allowed)
+    if not len(at):
+        return None
+    return Differing(name, at, size[at], float(a[at[0]]), float(b[at[0]]))
+
+
+def sizes(
+    name: str, a: NDArray[np.float64], b: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return by how much a signal differs in each row; angles take the shorter way round."""
     is_gap_a = np.isnan(a)
     is_gap_b = np.isnan(b)
     with np.errstate(invalid="ignore"):
@@ -54,10 +65,7 @@ def differing(name: str, piece: Shared, allowed: float) -> Differing | None:
     size[is_gap_a & is_gap_b] = 0.0
     # A value beside none is the largest difference there is, whatever the tolerance.
     size[is_gap_a ^ is_gap_b] = math.inf
-    at = np.flatnonzero(size > allowed)
-    if not len(at):
-        return None
-    return Differing(name, at, size[at], float(a[at[0]]), float(b[at[0]]))
+    return size
 
 
 @cache

@@ -91,6 +91,7 @@ export interface Board {
 
 export interface Job {
   number: number;
+  kind: "diagnosis" | "comparison";
   log: string;
   state: string;
   share: number;

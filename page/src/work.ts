@@ -20,7 +20,7 @@ export function workStrip(): HTMLElement {
 
 /** Whether the next diagnosis has to wait. */
 export function isDiagnosing(): boolean {
-  return started.size > 0 || live.slow.jobs.some((job) => job.state === "running");
+  return started.size > 0 || live.slow.jobs.some((job) => job.kind === "diagnosis" && job.state === "running");
 }
 
 /** Note that this browser has started a diagnosis. */
@@ -50,7 +50,9 @@ function look(): void {
   if (board.scenario) items.set("scenario", ["signals", `Scenario ${board.scenario.name}, ${seconds(board.scenario.seconds)} of ${seconds(board.scenario.length_s)}`]);
   if (sending) items.set("upload", ["diagnosis", `Uploading ${sending}`]);
   for (const job of jobs) {
-    if (job.state === "running") items.set("diagnosis", ["diagnosis", `Diagnosis of ${job.log}, ${Math.round(job.share * 100)} %${waiting(jobs)}`]);
+    if (job.state !== "running") continue;
+    const share = job.kind === "diagnosis" ? `, ${Math.round(job.share * 100)} %${waiting(jobs)}` : "";
+    items.set(job.kind, ["diagnosis", `${job.kind === "diagnosis" ? "Diagnosis" : "Comparison"} of ${job.log}${share}`]);
   }
   for (const [key, link] of shown) {
     if (items.has(key)) continue;
@@ -85,8 +87,9 @@ function tellEnds(jobs: Job[]): void {
     if (!mine.has(job.folder) || (job.state !== "done" && job.state !== "failed")) continue;
     mine.delete(job.folder);
     ended++;
+    if (job.kind === "comparison" && job.state === "done" && location.hash === "#diagnosis") continue; // it is shown there
     const what = job.state === "done" ? "is done" : "has failed";
-    alarm(`job ${job.number}`, `The diagnosis of ${job.log} ${what}.`, { calm: job.state === "done", href: "#diagnosis", label: "Show it" });
+    alarm(`job ${job.number}`, `The ${job.kind} of ${job.log} ${what}.`, { calm: job.state === "done", href: "#diagnosis", label: "Show it" });
   }
   if (ended || mine.size !== before) store("mine", { folders: [...mine].slice(-50) } satisfies Mine);
 }

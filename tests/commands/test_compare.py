@@ -1,5 +1,7 @@
 """`hilserver compare` on recordings that the product has written."""
 
+import json
+
 import pytest
 
 from hilserver.commands import main
@@ -38,6 +40,14 @@ def test_another_controller_is_a_difference_with_its_cause(folder, capsys):
     said = capsys.readouterr().out
     assert "an output, while all inputs were equal" in said
     assert "plant.controller.k_p: 13.513 in A, 13.514 in B" in said
+
+
+def test_the_curves_of_both_are_written_where_asked(folder, tmp_path, capsys):
+    words = ("a.mcap", "b.mcap", "-o", str(tmp_path / "new"))
+    assert compared(folder, *words) == EXIT_DIFFERENT
+    shown = json.loads((tmp_path / "new" / "comparison.json").read_bytes())
+    assert shown["text"] == capsys.readouterr().out.strip()
+    assert "wheel.fl.speed_rpm" in [curve["name"] for curve in shown["signals"]]
 
 
 def test_within_the_tolerance_it_is_none(folder):

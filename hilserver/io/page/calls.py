@@ -149,6 +149,7 @@ class Calls:
             "write": (self._write, (STRING, ANY)),
             "set": (self._set, (ANY,)),
             "diagnose": (self._diagnose, (STRING, STRING)),
+            "compare": (self._compare, (STRING, STRING)),
             "map": (self._map, (STRING, STRING)),
             "cancel": (self._cancel, ("Int64",)),
             "keep": (self._keep, ("Int64",)),
@@ -269,6 +270,10 @@ class Calls:
     async def _diagnose(self, browser: Browser, log: str, mapping: str = "") -> int:
         may_work(browser)
         return self._jobs.diagnose(log, str(mapping))
+
+    async def _compare(self, browser: Browser, a: str, b: str) -> int:
+        may_work(browser)
+        return self._jobs.compare(a, b)
 
     async def _map(self, browser: Browser, log: str, text: str) -> None:
         may_work(browser)

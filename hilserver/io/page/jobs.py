@@ -1,6 +1,6 @@
-"""Diagnoses started on the page: processes with idle priority and a memory limit, one at a time.
+"""Diagnoses and comparisons started on the page: processes with idle priority and limited memory.
 
-Others wait for their turn.
+One of a kind at a time; others wait for their turn.
 """
 
 import asyncio
@@ -16,6 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from hilserver.errors import EXIT_DIFFERENT, EXIT_DONE
 from hilserver.io.page.files import file_in, files_in, is_plain, reports_in
 from hilserver.io.page.hand import RefusedError
 from hilserver.io.page.setup import Setup
@@ -63,11 +64,20 @@ class ShareOfTime:
 
 @dataclass
 class Job:
-    """One diagnosis."""
+    """One diagnosis or comparison.
+
+    Attributes
+    ----------
+    log : str
+        What it works on.
+    kind : str
+        "diagnosis" or "comparison".
+    """
 
     number: int
     log: str
     folder: Path
+    kind: str = "diagnosis"
     state: str = "waiting"
     share: float = 0.0
     stage: str = "starting"
@@ -80,7 +90,7 @@ class Job:
 
     def view(self) -> dict[str, Any]:
         """Return what a browser shows."""
-        keys = ("number", "log", "state", "share", "stage", "text", "started_s")
+        keys = ("number", "kind", "log", "state", "share", "stage", "text", "started_s")
         if self.state == "done" and not self.files:  # nothing is added later
             self.files = [f["name"] for f in files_in(self.folder)]
         pid = self.process.pid if self.process and self.state == "running" else None
@@ -101,13 +111,13 @@ class Job:
 
 
 class Jobs:
-    """Starts, follows and ends diagnoses; those of earlier runs are known by their reports."""
+    """Starts, follows and ends them; diagnoses of earlier runs are known by their reports."""
 
     def __init__(self, setup: Setup, tasks: Supervisor | None = None) -> None:
         self._tasks = Supervisor() if tasks is None else tasks
         self._setup = setup
         self._jobs: deque[Job] = deque(maxlen=MAX_KEPT)
-        self._turn = asyncio.Lock()
+        self._turns = {"diagnosis": asyncio.Lock(), "comparison": asyncio.Lock()}
         reports = setup.folder("reports")
         earlier = [row for row in reports_in(reports) if row["title"] is not None][
             :MAX_KEPT
@@ -115,7 +125,16 @@ class Jobs:
         for number, row in enumerate(reversed(earlier), 1):
             name, title, at_s = row["name"], row["title"], row["modified_s"]
             self._jobs.append(
-                Job(number, name, reports / name, "done", 1.0, "", title, at_s)
+                Job(
+                    number,
+                    name,
+                    reports / name,
+                    state="done",
+                    share=1.0,
+                    stage="",
+                    text=title,
+                    started_s=at_s,
+                )
             )
         self._next = len(earlier) + 1
 
@@ -135,20 +154,37 @@ class Jobs:
         own = path.with_name(path.name + MAPPING)
         if not mapping and own.is_file():
             mapping = str(own)
+        words = ["diagnose", str(path), "--jobs", "1"]
+        if mapping:
+            words += ["--mapping", mapping]
+        if self._setup.config_file:
+            words += ["-c", self._setup.config_file]
+        return self._start("diagnosis", path.name, path.stem, words)
+
+    def compare(self, a: object, b: object) -> int:
+        """Start a comparison of two logs; return its number.
+
+        RefusedError if there is no such log, or too many wait.
+        """
+        folder = self._setup.folder("recordings")
+        first, second = file_in(folder, a), file_in(folder, b)
+        words = ["compare", str(first), str(second)]
+        log = f"{first.name} and {second.name}"
+        return self._start("comparison", log, f"{first.stem}-{second.stem}", words)
+
+    def _start(self, kind: str, log: str, name: str, words: list[str]) -> int:
         if sum(job.state == "waiting" for job in self._jobs) >= MAX_WAITING:
             raise RefusedError(
-                f"{MAX_WAITING} diagnoses are waiting: cancel one, or try again later"
+                f"{MAX_WAITING} jobs are waiting: cancel one, or try again later"
             )
         stamp = time.strftime("%Y%m%d-%H%M%SZ", time.gmtime())
-        folder = self._setup.folder("reports") / f"{path.stem[:60]}-{stamp}"
+        folder = self._setup.folder("reports") / f"{name[:60]}-{stamp}"
         while any(job.folder == folder for job in self._jobs):
             folder = folder.with_name(f"{folder.name}-{self._next}")
-        job = Job(self._next, path.name, folder)
+        job = Job(self._next, log, folder, kind)
         self._next += 1
         self._jobs.append(job)
-        job.task = self._tasks.spawn(
-            partial(self._run, job, path, mapping), "diagnosis"
-        )
+        job.task = self._tasks.spawn(partial(self._run, job, words), kind)
         return job.number
 
     def map(self, log: object, text: str) -> None:
@@ -163,7 +199,7 @@ class Jobs:
             own.unlink(missing_ok=True)
 
     def cancel(self, number: object) -> None:
-        """End a diagnosis; there is no report then."""
+        """End a job; there is no report then."""
         job = self._find(number, "running", "waiting")
         if job.state == "waiting":  # nothing of it is left
             self._jobs.remove(job)
@@ -184,10 +220,10 @@ class Jobs:
         for job in self._jobs:
             if job.number == number and job.state in states:
                 return job
-        raise RefusedError(f"there is no such diagnosis that is {' or '.join(states)}")
+        raise RefusedError(f"there is no such job that is {' or '.join(states)}")
 
     def report(self, folder: str, name: str) -> Path | None:
-        """Return a file of a finished diagnosis."""
+        """Return a file of a finished job."""
         for job in self._jobs:
             if job.folder.name == folder and job.state == "done" and is_plain(name):
                 path = job.folder / name
@@ -202,26 +238,17 @@ class Jobs:
             if job.task is not None:
                 await job.task.end()
 
-    async def _run(self, job: Job, log: Path, mapping: str) -> None:
-        words = [
-            sys.executable,
-            "-m",
-            "hilserver.io.page.quietly",
-            "diagnose",
-            str(log),
-        ]
-        words += ["-o", str(job.folder), "--jobs", "1"]
-        if mapping:
-            words += ["--mapping", mapping]
-        if self._setup.config_file:
-            words += ["-c", self._setup.config_file]
-        async with self._turn:
+    async def _run(self, job: Job, words: list[str]) -> None:
+        command = [sys.executable, "-m", "hilserver.io.page.quietly", *words]
+        async with self._turns[job.kind]:
             if job.state != "waiting":  # cancelled meanwhile
                 return
             job.state, job.started_s = "running", time.time()
             try:
                 job.process = await asyncio.create_subprocess_exec(
-                    *words,
+                    *command,
+                    "-o",
+                    str(job.folder),
                     stdin=asyncio.subprocess.DEVNULL,
                     stdout=asyncio.subprocess.PIPE,
                     stderr=asyncio.subprocess.STDOUT,
@@ -232,16 +259,16 @@ class Jobs:
                 await self._follow(job, job.process)
                 code = await job.process.wait()
                 if job.state == "running":
-                    job.state, job.share = (
-                        ("done", 1.0) if code == 0 else ("failed", job.share)
-                    )
+                    is_done = code in (EXIT_DONE, EXIT_DIFFERENT)
+                    job.state = "done" if is_done else "failed"
+                    job.share = 1.0 if is_done else job.share
             except (OSError, ValueError) as error:
                 job.state, job.text = "failed", str(error)
             finally:
                 if job.process is not None and job.process.returncode is None:
                     job.process.kill()
                     await job.process.wait()
-            _log.info("page: the diagnosis of %s: %s", job.log, job.state)
+            _log.info("page: the %s of %s: %s", job.kind, job.log, job.state)
 
     async def _follow(self, job: Job, process: asyncio.subprocess.Process) -> None:
         lines: deque[str] = deque(maxlen=12)

@@ -1,8 +1,9 @@
-/** Diagnosis: choose a log, follow the work, read the report, load the patch, see the gap. */
+/** Diagnosis: choose a log or two, follow the work, read the report, load the patch, see the gap. */
 
 import { may, type Context, type View } from "../context";
 import { call, get, live, type Job } from "../net";
 import { isDiagnosing, send as upload, startedHere } from "../work";
+import { compared } from "./compared";
 import { proposalCard } from "./proposal";
 import { action, ask, bytes, download, field, h, number, setText, svg, toast } from "../ui";
 
@@ -38,7 +39,8 @@ export function diagnosisView(context: Context): View {
         ? files.logs.map((log) =>
             h("li", {}, h("code", {}, log.name), h("span", { class: "hint" }, bytes(log.bytes)),
               download(log.name),
-              action("Diagnose", () => diagnose(log.name), { disabled: !mayWork, "aria-label": `Diagnose ${log.name}` })))
+              action("Diagnose", () => diagnose(log.name), { disabled: !mayWork, "aria-label": `Diagnose ${log.name}` }),
+              action("Compare", () => compare(log.name, files.logs.map(({ name }) => name)), { disabled: !mayWork || files.logs.length < 2, "aria-label": `Compare ${log.name}` })))
         : [h("li", { class: "note" }, `No logs yet: record a run, upload a log, or put one in the folder ${files.folders["recordings"]}.`)]),
     );
     patches.replaceChildren(
@@ -55,6 +57,16 @@ export function diagnosisView(context: Context): View {
     const waits = isDiagnosing();
     startedHere(await call<number>("diagnose", log, mapping));
     toast(waits ? `The diagnosis of ${log} waits for its turn.` : `The diagnosis of ${log} has started.`);
+  }
+
+  /** Draw a log and another one over each other. */
+  async function compare(log: string, all: string[]): Promise<void> {
+    const others = all.filter((name) => name !== log);
+    const other = h("select", {}, ...others.map((name) => h("option", { value: name }, name)));
+    if (!(await ask("Compare two logs", `${log} is A. Which one is B?`, "Compare", field("B", other)))) return;
+    const number = await call<number>("compare", log, other.value);
+    awaited = number;
+    startedHere(number);
   }
 
   /** A log of others: which of its columns is which signal? */
@@ -88,10 +100,21 @@ export function diagnosisView(context: Context): View {
   function read(folder: string, look = true): void {
     frame.src = `./api/reports/${folder}/report.html`;
     report.hidden = false;
+    comparison.element.hidden = true;
     element.classList.add("reading");
     if (look) report.scrollIntoView({ block: "nearest" });
   }
 
+  const comparison = compared();
+  async function show(folder: string): Promise<void> {
+    await comparison.show(folder);
+    report.hidden = true;
+    element.classList.add("reading");
+    comparison.element.scrollIntoView({ block: "nearest" });
+  }
+
+  /** The comparison that this view has started: it is shown as soon as it is done. */
+  let awaited: number | null = null;
   let shown = "";
   let listed = "";
   function slow(): void {
@@ -105,6 +128,11 @@ export function diagnosisView(context: Context): View {
     if (text !== shown || !jobs.children.length) {
       shown = text;
       jobs.replaceChildren(...(told.length ? told.map((job) => jobItem(job)) : [h("li", { class: "note" }, "No diagnosis yet.")]));
+      const done = told.find((job) => job.number === awaited && job.state === "done");
+      if (done) {
+        awaited = null;
+        show(done.folder).catch((error: Error) => toast(error.message, "error"));
+      }
     }
     misfit.hidden = !board.patch_notice;
     setText(misfit, `${board.patch} ${(board.patch_notice ?? "").replace(/^[^:]*: /, "")}.`);
@@ -123,13 +151,13 @@ export function diagnosisView(context: Context): View {
       h("div", { class: "job-head" }, h("code", {}, job.log), h("span", { class: "chip" }, job.state)),
       job.state === "running" && h("progress", { max: 1, value: job.share, "aria-label": `Progress of ${job.log}` }),
       job.state === "running" && h("span", { class: "hint" }, `${Math.round(job.share * 100)} % ${job.stage}`),
-      job.state === "running" && job.waits && h("span", { class: "hint waits" }, "Waiting for free processor time: a diagnosis runs at the lowest priority."),
-      job.text && !done && h("pre", { tabindex: "0" }, job.text),
-      done && h("pre", { tabindex: "0" }, job.text),
+      job.state === "running" && job.waits && h("span", { class: "hint waits" }, "Waiting for free processor time: this runs at the lowest priority."),
+      (job.text || done) && h("pre", { tabindex: "0" }, done && job.kind === "comparison" ? job.text.split("\n\n")[0]! : job.text),
       h("div", { class: "buttons" },
         (job.state === "running" || job.state === "waiting") && action("Cancel", () => call("cancel", job.number)),
         job.mapping && action("Name the columns …", () => name(job), { class: "primary", disabled: !mayWork }),
         done && job.files.includes("report.html") && h("button", { type: "button", class: "primary", onclick: () => read(job.folder) }, "Read the report"),
+        done && job.files.includes("comparison.json") && action("Show the comparison", () => show(job.folder), { class: "primary" }),
         done && job.files.includes("model_patch.yaml") && action("Load the patch", async () => { await call("LoadPatch", await call("keep", job.number)); await load(); }, { disabled: !may(context, "LoadPatch") })),
     );
   }
@@ -145,15 +173,16 @@ export function diagnosisView(context: Context): View {
     h("div", { class: "column" },
       card.element,
       h("section", { class: "panel", "aria-label": "Logs" }, h("h2", {}, "Logs"), logs, picker, send),
-      h("section", { class: "panel", "aria-label": "Diagnoses" }, h("h2", {}, "Diagnoses"), jobs),
+      h("section", { class: "panel", "aria-label": "Diagnoses" }, h("h2", {}, "Diagnoses and comparisons"), jobs),
       h("section", { class: "panel", "aria-label": "Patch" }, h("h2", {}, "Model patch"), patch, misfit, patches, remove),
       h("section", { class: "panel", "aria-label": "Sweeps" }, h("h2", {}, "Sweeps"), sweeps),
       h("section", { class: "panel", "aria-label": "Gap" }, h("h2", {}, "Measured minus simulated"), gaps)),
     report,
+    comparison.element,
   );
   const newest = live.slow.jobs.find((job) => job.state === "done" && job.files.includes("report.html"));
   if (newest) read(newest.folder, false);
-  return { element, close: () => { stopCard(); stopSlow(); } };
+  return { element, close: () => { stopCard(); stopSlow(); comparison.close(); } };
 }
 
 /** Channel, course of the last minute, gap now: so one sees it fall when a patch is loaded. */

@@ -34,21 +34,28 @@ interface Look {
   axis: uPlot.Axis;
 }
 
-function look(): Look {
-  const style = getComputedStyle(document.documentElement);
-  const of = (name: string): string => style.getPropertyValue(name).trim();
-  const grid = { stroke: of("--line"), width: 1 };
+/** A colour of the page's present look. */
+export function colour(name: string): string {
+  return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+}
+
+/** The colours of lines, in their order. */
+export function colours(): string[] {
+  return colour("--lines").split(" ");
+}
+
+export function axisOf(): uPlot.Axis {
+  const grid = { stroke: colour("--line"), width: 1 };
   const font = "11px system-ui";
-  return {
-    ink: of("--muted"),
-    red: of("--red-ink"),
-    colours: of("--lines").split(" "),
-    axis: { stroke: of("--muted"), grid, ticks: grid, font, labelFont: font, labelSize: 16, labelGap: 2 },
-  };
+  return { stroke: colour("--muted"), grid, ticks: grid, font, labelFont: font, labelSize: 16, labelGap: 2 };
+}
+
+function look(): Look {
+  return { ink: colour("--muted"), red: colour("--red-ink"), colours: colours(), axis: axisOf() };
 }
 
 /** A range that shows a value that does not change as a line in the middle, not as noise. */
-function sensible(low: number | null, high: number | null): [number, number] {
+export function sensible(low: number | null, high: number | null): [number, number] {
   const [min, max] = [low ?? 0, high ?? 0];
   const size = Math.max(Math.abs(min), Math.abs(max));
   if (max - min > Math.max(1e-9, 1e-6 * size)) return uPlot.rangeNum(min, max, 0.1, true) as [number, number];

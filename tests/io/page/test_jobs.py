@@ -77,6 +77,30 @@ def test_a_full_disk_is_a_sentence_and_leaves_no_half_file(tmp_path, monkeypatch
     assert [path.name for path in (tmp_path / "recordings").iterdir()] == ["a.csv"]
 
 
+async def test_a_comparison_does_not_wait_for_a_diagnosis(tmp_path, monkeypatch):
+    (tmp_path / "recordings").mkdir()
+    for name in ("a.csv", "b.csv"):
+        (tmp_path / "recordings" / name).write_text("t_s\n", encoding="utf-8")
+    folders = {name: str(tmp_path / name) for name in ("reports", "recordings")}
+    jobs = Jobs(Setup("", Serving(), OpcUaAccess(), [], {}, [], folders))
+    worker = tmp_path / "worker"  # a diagnosis lasts; a comparison finds a difference
+    worker.write_text('#!/bin/sh\n[ "$3" = compare ] && exit 4\nexec sleep 60\n')
+    worker.chmod(0o755)
+    monkeypatch.setattr("hilserver.io.page.jobs.sys.executable", str(worker))
+
+    def states():
+        return {job["kind"]: job["state"] for job in jobs.view()}
+
+    jobs.diagnose("a.csv")
+    jobs.compare("a.csv", "b.csv")
+    async with asyncio.timeout(60):
+        while states() != {"diagnosis": "running", "comparison": "done"}:  # noqa: ASYNC110
+            await asyncio.sleep(0.01)
+    with pytest.raises(RefusedError, match=r"there is no 'c\.csv'"):
+        jobs.compare("a.csv", "c.csv")
+    await jobs.close()
+
+
 async def test_a_second_diagnosis_waits_for_its_turn(tmp_path, monkeypatch):
     """Before, it was refused: wait or cancel the other."""
     (tmp_path / "recordings").mkdir()
@@ -105,7 +129,7 @@ async def test_a_second_diagnosis_waits_for_its_turn(tmp_path, monkeypatch):
     for _ in range(MAX_WAITING + 1):
         jobs.diagnose("a.csv")
         await asyncio.sleep(0)
-    with pytest.raises(RefusedError, match="10 diagnoses are waiting: cancel one"):
+    with pytest.raises(RefusedError, match="10 jobs are waiting: cancel one"):
         jobs.diagnose("a.csv")
     assert len({job["folder"] for job in jobs.view()}) == MAX_WAITING + 3
     await jobs.close()

@@ -1,4 +1,4 @@
-import{p as pl,r as wo,h as Di,l as ss,a as Ts,b as _a,g as ml,W as Ro,c as _l,e as gl,d as vl,T as xl,f as ga,i as Ml,C as Sl}from"./index-CkRuwltO.js";/**
+import{p as pl,r as wo,h as Di,l as ss,a as Ts,b as _a,g as ml,W as Ro,c as _l,e as gl,d as vl,T as xl,f as ga,i as Ml,C as Sl}from"./index-Bbtmi7l6.js";/**
  * @license
  * Copyright 2010-2025 Three.js Authors
  * SPDX-License-Identifier: MIT
