@@ -78,7 +78,9 @@ class Curves:
         kept = kept[:, :, used]
         low, high = kept[:, 0:4:2], kept[:, 1:4:2]
         width = 2 if (low < high).any() else 1
-        both = np.stack([low, high][:width], axis=-1).reshape(len(drawn), 2, -1)
+        both = np.stack([low, high][:width], axis=-1).reshape(
+            len(drawn), 2, len(used) * width
+        )
         difference = np.repeat(kept[:, 4], width, axis=-1)
 
         steps = np.arange(width) / width
