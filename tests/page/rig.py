@@ -131,9 +131,9 @@ def page_process(daemon):
     return int(found.split()[0])
 
 
-def diagnoses(daemon):
-    """The processes of the diagnoses that run now."""
-    words = ["pgrep", "-P", str(page_process(daemon)), "-f", "diagnose"]
+def diagnoses(daemon, command="diagnose"):
+    """The processes of the diagnoses, or of another command, that run now."""
+    words = ["pgrep", "-P", str(page_process(daemon)), "-f", command]
     found = subprocess.run(words, check=False, capture_output=True, text=True)
     return [int(pid) for pid in found.stdout.split()]
 

@@ -5,6 +5,8 @@ import math
 
 import pytest
 
+from tests.page.rig import diagnoses, lift
+
 pytestmark = pytest.mark.page
 ROWS, PERIOD_S = 6_000, 0.01
 PARTS_AT_S = 40.0
@@ -21,7 +23,7 @@ def write(path, error_m):
             rows.writerow([repr(t_s), repr(x_m), repr(2.0 * x_m)])
 
 
-def test_two_logs_are_drawn_over_each_other(browser, url, daemon):
+def test_two_logs_are_drawn_over_each_other(browser, url, plant, daemon):
     folder = daemon.folder / "recordings"
     folder.mkdir(exist_ok=True)
     write(folder / "before.csv", 0.0)
@@ -33,7 +35,14 @@ def test_two_logs_are_drawn_over_each_other(browser, url, daemon):
         "run", script="document.querySelector('dialog select').value = 'after.csv'"
     )
     browser.do("run", script="document.querySelector('dialog .primary').click()")
-    browser.do("wait", selector=".compared .plot", text="pose.x_m")
+    is_shown = "document.querySelectorAll('.compared .plot').length == 2"
+
+    def shown():
+        for pid in diagnoses(daemon, "compare"):
+            lift(pid)
+        return browser.do("run", script=is_shown)
+
+    plant.wait(shown)
     browser.do("wheel", selector=".compared .u-over", at=0.9, dy=0)
     browser.do("wait", selector=".compared output", text="difference 0.250 m")
     script = (
