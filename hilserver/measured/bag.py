@@ -11,6 +11,7 @@ from hilserver.logs.table import first_of_equal, repeated_stamps
 from hilserver.measured.mapping import LogMapping
 from hilserver.measured.messages import Decoder, TopicError
 from hilserver.measured.tables import Recording, Stamped, as_signal
+from hilserver.measured.thresholds import SET_BACK_MESSAGES
 
 __all__ = ["is_bag", "read_bag"]
 
@@ -37,6 +38,8 @@ def read_bag(path: Path, mapping: LogMapping) -> Recording:
     parts = []
     failed = []
     for name in sorted(wanted & set(topics)):
+        for bag in bags:
+            _refuse_set_back(bag.path, name, bag.messages.get(name, []))
         sent = [message for bag in bags for message in bag.messages.get(name, ())]
         if not sent:
             mapped = mapping.channels.items()
@@ -98,3 +101,24 @@ def _part(
     notices += decoder.notices
     notices += repeated_stamps(where, repeated, "messages")
     return stamps[first], dict(zip(fields, values.T, strict=True))
+
+
+def _refuse_set_back(path: Path, name: str, messages: list[tuple[int, bytes]]) -> None:
+    """Refuse a file if the recorder's clock was set back meanwhile.
+
+    Sorted, the messages after that would stand between those before it.
+    """
+    # As floats: a stamp that ran over fits in no integer of 64 bits with a sign.
+    stamps_ns = np.array([stamp_ns for stamp_ns, _ in messages], dtype=np.float64)
+    latest_ns = np.maximum.accumulate(stamps_ns)
+    in_time = np.append(np.flatnonzero(stamps_ns >= latest_ns), len(stamps_ns))
+    late = np.diff(in_time) - 1
+    if late.max(initial=0) < SET_BACK_MESSAGES:
+        return
+
+    last = int(in_time[np.argmax(late)])
+    by_s = (messages[last][0] - messages[last + 1][0]) * 1e-9
+    raise LogError(
+        f"{path}: topic '{name}': the clock was set back by {by_s:.3g} s after message"
+        f" {last + 1}; cut the bag there and give one part"
+    )

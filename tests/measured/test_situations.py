@@ -1,12 +1,16 @@
 """Files that others could not read elsewhere: each as in the public report that is named."""
 
+import contextlib
 import re
+import sqlite3
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from mcap.writer import Writer as McapWriter
+from rosbags.rosbag2 import Writer as Rosbag2Writer
+from rosbags.typesys import Stores, get_typestore
 
 from hilserver.errors import LogError
 from hilserver.measured.proposal import ForeignLog
@@ -88,6 +92,33 @@ def bag_with_stamps(stamps, cut=None):
         return path
 
     return make
+
+
+def sqlite_bag(folder, *, of_eloquent=False, with_empty=False):
+    """A bag of ROS 2; without its metadata.yaml unless a topic without messages is in it."""
+    path = folder / "bag"
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    number = "std_msgs/msg/Float64"
+    with Rosbag2Writer(path, version=8) as writer:
+        left = writer.add_connection("/left", number, typestore=store)
+        if with_empty:
+            writer.add_connection("/right", number, typestore=store)
+        for i, stamp_ns in enumerate((EPOCH_NS + NS).tolist()):
+            data = store.serialize_cdr(store.types[number](float(i)), number)
+            writer.write(left, stamp_ns, data)
+    (file,) = path.glob("*.db3")
+    if not with_empty:
+        (path / "metadata.yaml").unlink()
+    if of_eloquent:
+        with contextlib.closing(sqlite3.connect(file)) as database:
+            database.execute("ALTER TABLE topics DROP COLUMN offered_qos_profiles")
+            database.commit()
+    return file if of_eloquent else path
+
+
+def set_back(i, by_s=1.0):
+    """A clock that is set back by a second in the middle."""
+    return EPOCH_NS + int(NS[i]) - (int(by_s * 1e9) if i >= N // 2 else 0)
 
 
 def mapped(time="", column="left", unit=""):
@@ -227,6 +258,66 @@ SITUATIONS = [
         "pandas#40201: a header of another separator behind a byte-order mark",
         csv("\ufefft_s;left", lambda i: f"{S[i]};{i}", end="\r\n"),
         mapped(),
+    ),
+    Situation(
+        "rosbag2#395: power was cut: no metadata.yaml",
+        sqlite_bag,
+        TOPIC,
+    ),
+    Situation(
+        "rosbag2#1089: a bag of Eloquent, whose topics have no QoS",
+        lambda folder: sqlite_bag(folder, of_eloquent=True),
+        TOPIC,
+    ),
+    Situation(
+        "rosbag2#1719: a topic without messages",
+        lambda folder: sqlite_bag(folder, with_empty=True),
+        "channels:\n"
+        f"  {LEFT}: {{topic: /left, field: data}}\n"
+        "  wheel.fr.speed_rpm: {topic: /right, field: data}\n",
+    ),
+    Situation(
+        "rtabmap_ros#1333: the clock was set back while a bag was recorded",
+        bag_with_stamps([set_back(i) for i in range(N)]),
+        TOPIC,
+        "topic '/left': the clock was set back by 0.98 s after message 75; cut the bag",
+    ),
+    Situation(
+        "imu_tools#160: the clock was set from 2016 to now",
+        bag_with_stamps([set_back(i, -6 * 31_536_000) for i in range(N)]),
+        TOPIC,
+        lasts_s=-1.0,
+    ),
+    Situation(
+        "hokuyo3d#33: stamps with small jumps back",
+        bag_with_stamps(
+            [EPOCH_NS + int(t) - 25_000_000 * (i % 10 == 0) for i, t in enumerate(NS)]
+        ),
+        TOPIC,
+        lasts_s=-1.0,
+    ),
+    Situation(
+        "DSView#788: decimal commas between commas, where there is a decimal",
+        csv("t_s, left, 2", lambda i: f"{i},{i % 2},{i},0" if i % 2 else f"{i},{i},0"),
+        mapped(),
+        "row 3 has 4 columns, the header has 3; .* separate the columns with semicolons",
+    ),
+    Situation(
+        "sdc-issue-reports#170: decimal commas between commas, everywhere",
+        csv("t_s, left, right", lambda i: f"0,{i:03d}, 0,{i:03d}, 12,18"),
+        mapped(),
+        "row 2 has 6 columns, the header has 3",
+    ),
+    Situation(
+        "telegraf#3571: a comma before the milliseconds",
+        csv("when;left", lambda i: f"2017-12-10 {clock(i).replace('.', ',')};{i}"),
+        mapped("time: {column: when}"),
+    ),
+    Situation(
+        "can-utils#60: microseconds without their leading zeros",
+        csv("t_s,left", lambda i: f"{i // 50}.{i % 50 * 20_000},{i}"),
+        mapped(),
+        "row 7, column 1 't_s': 0.1 is not later than 0.8",
     ),
     Situation(
         "PlotJuggler#497: a form of date that nobody knows",
