@@ -25,9 +25,26 @@ ELSEWHERE = (
 """Benches of a checkout, in its folder ``benchmarks``."""
 
 
+class _BenchParser(argparse.ArgumentParser):
+    """Imports its bench when that is asked for: all together take seconds."""
+
+    path = ""  # of the module; empty: none
+
+    def parse_known_args(self, *given: Any, **named: Any) -> Any:
+        path, self.path = self.path, ""
+        if path:
+            module = importlib.import_module(path)
+            self.set_defaults(measure=module.run)
+            if hasattr(module, "add_arguments"):
+                module.add_arguments(self)
+        return super().parse_known_args(*given, **named)
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add one sub-command per bench."""
-    benches = parser.add_subparsers(title="benches", metavar="BENCH", required=True)
+    benches = parser.add_subparsers(
+        title="benches", metavar="BENCH", required=True, parser_class=_BenchParser
+    )
     modules = {
         name: (f"hilserver.bench.{name}", text) for name, text in BENCHES.items()
     }
@@ -35,19 +52,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     others: dict[str, str] = {} if benchmarks is None else benchmarks.BENCHES
     modules |= {name: (f"benchmarks.{name}", text) for name, text in others.items()}
     for name, (path, text) in modules.items():
-        module = importlib.import_module(path)
         bench = benches.add_parser(
             name, help=text, epilog=f"example: hilserver bench {name}"
         )
+        bench.path = path
         bench.add_argument(
             "--json",
             type=out_file,
             metavar="FILE",
             help="write the figures and raw data to FILE",
         )
-        bench.set_defaults(measure=module.run)
-        if hasattr(module, "add_arguments"):
-            module.add_arguments(bench)
     for name in ELSEWHERE if not others else ():
         absent = benches.add_parser(
             name,

@@ -19,6 +19,7 @@ from hilserver.commands.options import (
     add_config,
     add_mapping,
     add_out,
+    comma_names,
     config_path,
 )
 from hilserver.diagnosis.many import on_cluster
@@ -126,7 +127,7 @@ def _group(text: str) -> tuple[str, tuple[Path, ...]]:
 
 
 def _formats(text: str) -> tuple[str, ...]:
-    names = tuple(name.strip() for name in text.split(","))
+    names = comma_names(text)
     for name in names:
         if name not in FORMATS:
             raise argparse.ArgumentTypeError(

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from hilserver.errors import FailedError, reason
+from hilserver.errors import FailedError, UsageError, reason
+from hilserver.program.shared_memory import MADE_UP, made_up_in_use
 from hilserver.program.whole_file import writing
 
 DEFAULT_CONFIG = Path("config.yaml")
@@ -54,6 +55,25 @@ def add_mapping(parser: argparse.ArgumentParser) -> None:
         "--mapping",
         metavar="FILE",
         help="mapping file for foreign logs, or a built-in one by name",
+    )
+
+
+def add_image(parser: argparse.ArgumentParser) -> None:
+    """Add ``--image``."""
+    parser.add_argument(
+        "--image",
+        metavar="NAME",
+        help="process image of the daemon; default: that of the -c file",
+    )
+
+
+def known_image(configured: str) -> str:
+    """Return a configured `image.name`; UsageError where each daemon makes up a name of its own."""
+    if configured != MADE_UP:
+        return configured
+    running = ", ".join(made_up_in_use()) or "none"
+    raise UsageError(
+        f"image.name is 'auto': name the process image with --image (in use now: {running})"
     )
 
 
@@ -109,6 +129,17 @@ def number(
         return value
 
     return parse
+
+
+def comma_names(text: str) -> tuple[str, ...]:
+    """Return the names between commas, an argument type; an empty one is refused."""
+    names = tuple(name.strip() for name in text.split(","))
+    if not all(names):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} has a comma without a name; write names with commas, but no spaces, between"
+            " them"
+        )
+    return names
 
 
 POSITIVE = number(sys.float_info.min, 1e9, "number above 0")

@@ -11,7 +11,7 @@ import os
 import socket
 import sys
 
-from hilserver.commands.options import add_config, add_patch
+from hilserver.commands.options import add_config, add_image, add_patch, known_image
 from hilserver.errors import EXIT_DONE
 from hilserver.io.page.listening import listen, moved, url_of
 from hilserver.io.page.server import PageServer
@@ -27,6 +27,7 @@ NICENESS = 5
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add all options."""
     add_config(parser)
+    add_image(parser)
     add_patch(parser)  # the one that the daemon runs with
     parser.add_argument("--beside", type=int, metavar="FD", help=argparse.SUPPRESS)
 
@@ -62,9 +63,8 @@ def _by_hand(args: argparse.Namespace) -> Setup:
 
     assembly = assembled(args)
     check_page(assembly)
-    return page_setup(
-        assembly, assembly.config.image.name, assembly.config.opcua.endpoint
-    )
+    image = args.image or known_image(assembly.config.image.name)
+    return page_setup(assembly, image, assembly.config.opcua.endpoint)
 
 
 async def _serve(

@@ -15,6 +15,7 @@ from hilserver.commands.options import (
     add_config,
     add_mapping,
     add_out,
+    comma_names,
     config_path,
     number,
 )
@@ -103,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _channels(text: str) -> tuple[str, ...]:
     wanted: set[str] = set()
-    for word in text.split(","):
+    for word in comma_names(text):
         if word in GROUPS:
             wanted |= set(GROUPS[word])
         elif word in ALL:

@@ -12,9 +12,11 @@ import sys
 from hilserver.commands.options import (
     POSITIVE,
     add_config,
+    add_image,
     add_out,
     add_storage,
     config_path,
+    known_image,
     number,
     warn,
 )
@@ -43,11 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_storage(parser)
     add_config(parser)
-    parser.add_argument(
-        "--image",
-        metavar="NAME",
-        help="process image of the daemon; default: that of the -c file",
-    )
+    add_image(parser)
     parser.add_argument(
         "--signals",
         action="append",
@@ -107,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
             "a bag is one folder; leave out --rotate-mb, or record to .mcap"
         )
     recorder = Recorder(
-        _image(args),
+        args.image or known_image(load_config(config_path(args)).image.name),
         Settings(
             path=args.out,
             signals=args.signals or ("*",),
@@ -133,12 +131,3 @@ def run(args: argparse.Namespace) -> int:
         warn("without all inputs this recording cannot be replayed")
     print(recorder.run(args.duration), file=sys.stderr, flush=True)
     return EXIT_DONE
-
-
-def _image(args: argparse.Namespace) -> str:
-    if args.image is not None:
-        return str(args.image)
-    name = load_config(config_path(args)).image.name
-    if name == "auto":
-        raise UsageError("image.name is 'auto'; name the process image with --image")
-    return name

@@ -222,10 +222,12 @@ class WheelCheck:
             steady = moving
             return True
 
-        # A controller may have a ramp, and on a busy computer its commands come with gaps.
+        # A controller may have a ramp, and on a busy computer its commands come with gaps: what
+        # stands still again may move on.
         end_s = time.monotonic() + SETTLED_AT_MOST_S
-        while await self._wait(has_changed, SETTLE_S) and time.monotonic() < end_s:
-            pass
+        while time.monotonic() < end_s:
+            if not await self._wait(has_changed, SETTLE_S) and steady:
+                break
         arrived = ", ".join(f"{w} {rpm:+.4g} rpm" for w, rpm in moving.items())
         return WheelFinding(
             wheel, arrived or "a twitch", wanted, complaint(wheel, wanted_rpm, moving)

@@ -53,7 +53,7 @@ def _first(found: RecordingComparison) -> str:
     inputs = [p for p in together if p.signal in found.inputs]
     one = (inputs or together)[0]
     unit = known_signals()[one.signal].unit if one.signal in known_signals() else ""
-    values = f"{one.signal} is {one.a:.9g} in A, {one.b:.9g} in B"
+    values = f"{one.signal} is {_apart(one.a, one.b)}"
     unit = f" [{unit}]" if unit not in ("", "1") else ""
     others = f", with {len(together) - 1} others" if len(together) > 1 else ""
     if inputs:
@@ -61,6 +61,12 @@ def _first(found: RecordingComparison) -> str:
     if found.inputs:
         return f"{values}{unit}{others}: an output, while all inputs were equal."
     return f"{values}{unit}{others}."
+
+
+def _apart(a: float, b: float) -> str:
+    """Write two values with as many digits as tell them apart; 17 always do."""
+    digits = 9 if f"{a:.9g}" != f"{b:.9g}" else 17
+    return f"{a:.{digits}g} in A, {b:.{digits}g} in B"
 
 
 def _table(partings: list[Parting]) -> Iterator[str]:

@@ -50,3 +50,15 @@ def check_free(name: str) -> None:
         raise in_use(name) from None
     finally:
         os.close(fd)
+
+
+def made_up_in_use() -> list[str]:
+    """Return the generated names of images that running daemons use."""
+    found = []
+    for path in sorted(FOLDER.glob(f"hilserver-{MADE_UP}-*")):
+        name = path.name.removeprefix("hilserver-")
+        try:
+            check_free(name)
+        except FailedError:
+            found.append(name)
+    return found

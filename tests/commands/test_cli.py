@@ -17,6 +17,7 @@ import pytest
 
 from hilserver import commands
 from hilserver.commands import COMMANDS, main
+from hilserver.image.shared_file import SharedFile
 from tests.helpers.daemons import free_port
 
 
@@ -465,6 +466,17 @@ def test_options_that_never_go_together_are_a_mistake_of_the_command_line(
     code, _, said = here(*words.split())
     assert complaint in said
     assert code == 2
+
+
+@pytest.mark.parametrize("words", [["record", "-o", "a.csv"], ["page"]])
+def test_a_made_up_image_is_to_be_named_from_those_in_use(here, tmp_path, words):
+    write_config(tmp_path)
+    image = SharedFile(f"auto-{os.getpid()}-cli", 4096)
+    code, _, said = here(*words)
+    image.close()
+    assert code == 2
+    assert "image.name is 'auto': name the process image with --image" in said
+    assert f"auto-{os.getpid()}-cli" in said
 
 
 @pytest.mark.parametrize(

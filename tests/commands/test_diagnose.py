@@ -229,6 +229,13 @@ def test_a_program_that_nobody_writes_for_is_refused(stages, capsys):
     assert not stages
 
 
+def test_a_space_behind_a_comma_is_named(stages, capsys):
+    with pytest.raises(SystemExit):  # as the shell splits: --for ros2_control, urdf
+        main(["diagnose", "a.csv", "--for", "ros2_control,", "urdf", "-o", "out"])
+    assert "'ros2_control,' has a comma without a name" in capsys.readouterr().err
+    assert not stages
+
+
 @pytest.mark.parametrize(
     ("words", "code", "says"),
     [

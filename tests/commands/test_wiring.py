@@ -96,11 +96,12 @@ async def test_swapped_wheels_a_wrong_sign_and_the_stale_time_are_seen(monkeypat
     assert "busy" in findings[-1].arrived
 
 
-async def test_a_wheel_counts_once_it_turns_steadily(monkeypatch):
+@pytest.mark.parametrize("gap_looks", [10, 120])
+async def test_a_wheel_counts_once_it_turns_steadily(monkeypatch, gap_looks):
     """A controller with a ramp, and one whose command comes late and leaves a gap."""
     ramp = [{}, *({"fl": rpm / 5} for rpm in range(1, 100))]
     steady = [{"fl": 20.0}] * 10
-    moving = iter([*ramp, *steady, *[{}] * 10])
+    moving = iter([*ramp, *steady, *[{}] * gap_looks])
     now_s = 0.0
 
     async def sleep(delay_s):

@@ -82,6 +82,15 @@ def test_the_last_bit_is_a_difference(ramp):
     assert parting.t_s == pytest.approx(3.0)
 
 
+def test_two_values_never_read_the_same():
+    a = log({"pose.x_m": [0.1, 0.3]})
+    b = log({"pose.x_m": [0.1, np.nextafter(0.3, 1.0)]})
+    first = as_text(compared(a, b)).splitlines()[1]
+    assert first.startswith(
+        "First: pose.x_m is 0.29999999999999999 in A, 0.30000000000000004 in B"
+    )
+
+
 def test_a_difference_grows_along_the_horizons(ramp):
     growing = np.zeros(N)
     growing[100:] = np.arange(N - 100) * PERIOD_S

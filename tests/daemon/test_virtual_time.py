@@ -19,7 +19,9 @@ recording: {buffer_mb: 1}
 SCENARIO = "steps: [{at_s: 0, write: {wheels.setpoints_rpm: [30, 30, -30, -30]}}]\n"
 
 
-@pytest.mark.parametrize("name", ["run.mcap", "run.csv"])
+@pytest.mark.parametrize(
+    "name", ["run.mcap", pytest.param("run.csv", marks=pytest.mark.long)]
+)
 def test_a_recording_begins_at_tick_0_and_holds_every_tick_of_the_duration(
     tmp_path, name
 ):

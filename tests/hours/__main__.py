@@ -1,7 +1,8 @@
 """Lives of the town from the command line: ``python -m tests.hours 17`` repeats seed 17.
 
 ``python -m tests.hours 0:1000`` lives a thousand; the town is built once, and forked for each.
-With ``--results FILE`` it goes on where it was interrupted.
+With ``--results FILE`` it goes on where it was interrupted, with ``--shrink`` it leaves out of each
+life that has a breach what that does not need, and says how to repeat what is left.
 """
 
 import argparse
@@ -10,10 +11,11 @@ import gc
 import json
 import os
 import pickle
+import re
 import sys
 import tempfile
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -39,6 +41,16 @@ def main() -> int:
     parser.add_argument(
         "--story", action="store_true", help="print what the daemon said"
     )
+    parser.add_argument(
+        "--without",
+        action="append",
+        default=[],
+        metavar="PART",
+        help="leave out a user or a kind of fault; may be repeated",
+    )
+    parser.add_argument(
+        "--shrink", action="store_true", help="leave out what a breach does not need"
+    )
     options = parser.parse_args()
     if "PYTHONHASHSEED" not in os.environ:  # sets of names have an order then
         os.execve(
@@ -62,7 +74,7 @@ def main() -> int:
         clock.seed(0)
         town = Town(Path(folder), options.mode)
         run_in(town.loop, town.start())
-        lives = _Lives(partial(Life, town, seconds=options.seconds), options)
+        lives = _Lives(partial(Life, town), options)
         try:
             if options.mutant != "all":
                 return lives.live(seeds, named(options.mutant))
@@ -91,6 +103,8 @@ class _Lives:
             result = done.get(seed)
             if result is None:
                 result = self._forked(seed, plant)
+                if result["found"] and options.shrink:
+                    result["repeat"] = self._shrunk(result, plant)
                 self._keep(result)
             simulated_s += result["simulated_s"]
             cpu_s += result["cpu_s"]
@@ -128,10 +142,32 @@ class _Lives:
     @property
     def _like(self) -> list[Any]:
         options = self._options
-        return [options.mode, options.seconds, options.mutant]
+        return [options.mode, options.seconds, options.mutant, options.without]
 
-    def _forked(self, seed: int, plant: Callable[[Any], None] | None) -> dict[str, Any]:
+    def _shrunk(
+        self, result: dict[str, Any], plant: Callable[[Any], None] | None
+    ) -> str:
+        """Leave out part after part while the same is found; return the line that repeats it."""
+        seed, left_out = result["seed"], list(self._options.without)
+        for part in result["parts"]:
+            tried = self._forked(seed, plant, [*left_out, part])
+            if _breach(tried) == _breach(result):
+                left_out.append(part)
+        words = [f"python -m tests.hours {seed} --mode {self._options.mode}"]
+        words += [f"--without '{part}'" for part in left_out]
+        if self._options.mutant is not None:
+            words.append(f"--mutant '{self._options.mutant}'")
+        return " ".join(words)
+
+    def _forked(
+        self,
+        seed: int,
+        plant: Callable[[Any], None] | None,
+        without: Collection[str] | None = None,
+    ) -> dict[str, Any]:
         """Live one seed in a process of its own."""
+        options = self._options
+        without = options.without if without is None else without
         reading, writing = os.pipe()
         child = os.fork()
         if child:
@@ -143,13 +179,13 @@ class _Lives:
             return pickle.loads(data) if data else died
         try:
             os.close(reading)
-            life = self._begin(seed)
+            life = self._begin(seed, options.seconds, without)
             if plant is not None:
                 plant(life.town)
-            result = life.run(until_found=self._options.until_found)
+            result = life.run(until_found=options.until_found or options.shrink)
             with os.fdopen(writing, "wb") as pipe:
                 pickle.dump(vars(result), pipe)
-            if self._options.story:
+            if options.story:
                 for line in life.story():
                     print(line, file=sys.stderr)
         except BaseException:  # noqa: BLE001 - a fork must never go on as its parent
@@ -157,6 +193,14 @@ class _Lives:
         finally:
             sys.stderr.flush()
             os._exit(0)
+
+
+def _breach(result: dict[str, Any]) -> str:
+    """Return the first sentence of the judges without times, numbers and names of users."""
+    first = next(iter(result["found"]), "")
+    return re.sub(
+        r"(program|terminal|browser|engineer|stranger|panel)|[\d.]+", "", first
+    )
 
 
 if __name__ == "__main__":

@@ -4,8 +4,9 @@ import asyncio
 import hashlib
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
+from random import Random
 
 import numpy as np
 
@@ -20,8 +21,8 @@ from tests.hours.ledger import Ledger
 from tests.hours.loop import NS, run_in
 from tests.hours.recording import damaged, difference, recorder_of
 from tests.hours.town import Town
-from tests.hours.users import LOST, Browser, Controller, Program, Terminal, User
-from tests.hours.watchers import Engineer, Stranger, Watcher
+from tests.hours.users import LOST, Browser, Controller, Program, Terminal
+from tests.hours.watchers import Engineer, Panel, Stranger, Watcher
 
 LOOK_S = 1.0
 RECORDED_EVERY = 5  # seeds
@@ -31,8 +32,9 @@ STALLS_S = (0.005, 0.05, 0.3, 0.8)
 HOLDS_S = (0.05, 0.4)
 KINDS = {
     "program": Program, "terminal": Terminal, "browser": Browser, "engineer": Engineer,
-    "stranger": Stranger,
+    "stranger": Stranger, "panel": Panel, "watcher": Watcher,
 }  # fmt: skip
+DRAWN = [kind for kind in KINDS if kind != "watcher"]
 
 
 @dataclass
@@ -45,21 +47,25 @@ class Result:
     cpu_s: float = 0.0
     figures: dict[str, int] = field(default_factory=dict)
     digest: str = ""
+    parts: list[str] = field(default_factory=list)
 
 
 class Life:
     """One seed in one town."""
 
-    def __init__(self, town: Town, seed: int, seconds: float) -> None:
+    def __init__(
+        self, town: Town, seed: int, seconds: float, without: Collection[str] = ()
+    ) -> None:
         clock.seed(seed)
         town.loop.chance.seed(seed)
+        town.seed = seed
         self.town, self.seed, self.seconds = town, seed, seconds
-        self.chance = town.loop.chance
+        self._without, self.parts = without, list[str]()
         folder, after = (town.folder / f"{name} {seed}" for name in ("seed", "after"))
         for left in (folder, after):  # by another mutant's life of this seed
             shutil.rmtree(left, ignore_errors=True)
         folder.mkdir()
-        self.disk = Disk(folder, after, self.chance)
+        self.disk = Disk(folder, after, town.chance_of("disk"))
         self.recorder: Recorder | None = None
         self.disk.on_power_loss = self._note_safe
         self._safe = 0  # frames of the recording that survive the loss of power
@@ -69,8 +75,14 @@ class Life:
         self.ledger = Ledger()
         self.judges = Judges(town, self.ledger)
         self.controller = Controller(town, self.ledger)
-        self.users = [self._user(number) for number in range(self.chance.randint(2, 5))]
-        self.users.append(Watcher("watcher", town, self.ledger))
+        chance = town.chance_of("users")
+        kinds = chance.choices(DRAWN, k=chance.randint(2, 5))
+        names = [f"{kind} {number}" for number, kind in enumerate(kinds)]
+        self.users = [
+            KINDS[name.partition(" ")[0]](name, town, self.ledger)
+            for name in [*names, "watcher"]
+            if self._takes_part(name)
+        ]
         self.judges.hands = {user.name for user in self.users if user.is_hand}
         if seed % RECORDED_EVERY == 0:
             town.is_recorded = True
@@ -78,9 +90,10 @@ class Life:
         self._digest = hashlib.sha256()
         self.begun_s, self._until_found = town.loop.time(), False
 
-    def _user(self, number: int) -> User:
-        kind = self.chance.choice(list(KINDS))
-        return KINDS[kind](f"{kind} {number}", self.town, self.ledger)
+    def _takes_part(self, name: str) -> bool:
+        """Note that there is such a part of this life; whether it is not left out."""
+        self.parts.append(name)
+        return name not in self._without
 
     def run(self, *, until_found: bool = False) -> Result:
         """Live, and judge; to the first breach only, if nothing else is asked for."""
@@ -102,6 +115,7 @@ class Life:
             "acts": len(self.ledger.acts), "came": sum(user.came for user in self.users),
             "turns": self.town.loop.turns, "lost power": self.disk.after.exists(),
         }  # fmt: skip
+        result.parts = self.parts
         result.digest = self._digest.hexdigest()[:16]
         return result
 
@@ -164,15 +178,12 @@ class Life:
         town, judges = self.town, self.judges
         town.on_heard = self._heard
         town.daemon.events.subscribe(self._passed)
-        tasks = [
-            asyncio.ensure_future(work)
-            for work in (
-                self.controller.offer(), self.controller.live(), self._trouble(),
-                *(user.live() for user in self.users),
-            )
-        ]  # fmt: skip
-        tasks.append(asyncio.ensure_future(self._note_pauses()))
-        tasks.append(asyncio.ensure_future(self._disk_trouble()))
+        works = [self.controller.offer(), self._note_pauses()]
+        works += [user.live() for user in self.users]
+        for name, part in FAULTS.items():
+            if self._takes_part(name):
+                works.append(part(self))
+        tasks = [asyncio.ensure_future(work) for work in works]
         looking = asyncio.ensure_future(self._look_on())
         until_s = town.loop.time() + self.seconds - PEACE_S
         while town.loop.time() < until_s:
@@ -222,31 +233,33 @@ class Life:
 
     async def _trouble(self) -> None:
         """Let the loop stand still, and the network be slow."""
+        chance = self.town.chance_of("stalls")
         while True:
-            await asyncio.sleep(self.chance.uniform(0.1, 2.0))
-            if self.chance.random() < 0.5:
-                self.town.stand_still(self.chance.choice(STALLS_S))
-            elif self.chance.random() < 0.5:
-                await self._stand_still_over_a_limit()
+            await asyncio.sleep(chance.uniform(0.1, 2.0))
+            if chance.random() < 0.5:
+                self.town.stand_still(chance.choice(STALLS_S))
+            elif chance.random() < 0.5:
+                await self._stand_still_over_a_limit(chance)
             else:
-                self.town.hold(self.chance.choice(HOLDS_S))
+                self.town.hold(chance.choice(HOLDS_S))
 
     async def _disk_trouble(self) -> None:
         """Let the disk be full or broken for a while."""
+        chance = self.town.chance_of("disk trouble")
         while True:
-            await asyncio.sleep(self.chance.uniform(1.0, 15.0))
-            self.disk.trouble = self.chance.choice(TROUBLES)
-            await asyncio.sleep(self.chance.uniform(0.5, 3.0))
+            await asyncio.sleep(chance.uniform(1.0, 15.0))
+            self.disk.trouble = chance.choice(TROUBLES)
+            await asyncio.sleep(chance.uniform(0.5, 3.0))
             self.disk.trouble = ""
 
-    async def _stand_still_over_a_limit(self) -> None:
+    async def _stand_still_over_a_limit(self, chance: Random) -> None:
         """Stand still while somebody's time is up, so that the answer may come in the same turn."""
         loop = self.town.loop
         limits = [timer.when() for timer in loop.limits()]
         if not limits:
             return
-        await asyncio.sleep(max(self.chance.choice(limits) - loop.time() - 0.01, 0.0))
-        self.town.stand_still(self.chance.uniform(0.02, 0.6))
+        await asyncio.sleep(max(chance.choice(limits) - loop.time() - 0.01, 0.0))
+        self.town.stand_still(chance.uniform(0.02, 0.6))
 
     # --- peace ------------------------------------------------------------------------------------
 
@@ -266,11 +279,13 @@ class Life:
         self.controller.change()
         # outranks all that may still be there
         user = Browser("the last", town, self.ledger)
+        panel = Panel("the last panel", town, self.ledger)
         speed = self.controller.speed
         while town.loop.time() < begun_s + PEACE_S:
             try:
-                if not user.came:
-                    await user.come()
+                for each in (user, panel):
+                    if not each.came:
+                        await each.come()
                 state = int(town.frame("sim.state"))
                 if state == State.SAFE:
                     await user.act("Reset")
@@ -284,14 +299,15 @@ class Life:
             except (*LOST, AttributeError):
                 await asyncio.sleep(0.2)
             await asyncio.sleep(0.3)
-            if user.came and self._moves_at(speed.rpm) and not town.not_good():
+            are_in = user.came and panel.came
+            if are_in and self._moves_at(speed.rpm) and not town.not_good():
                 break
         else:
-            if not user.came:
-                judges.found.append(
-                    f"{PEACE_S:g} s after the last fault nobody gets in"
-                )
-                return
+            for each in (user, panel):
+                if not each.came:
+                    what = f"{each.name} does not get in"
+                    judges.found.append(f"{PEACE_S:g} s after the last fault {what}")
+                    return
             state = (
                 f"{town.daemon.gate.owner} has control, {town.daemon.control.reason}"
             )
@@ -309,7 +325,18 @@ class Life:
         if not stop.is_accepted:
             judges.found.append("in peace, Stop is not accepted")
         await end(offering)
+        await panel.do_look()
+        judges.found += panel.found
+        await panel.go()
         await user.go()
 
     def _moves_at(self, rpm: float) -> bool:
         return bool(np.isclose(self.town.frame("wheel.fl.setpoint_rpm"), rpm))
+
+
+FAULTS = {
+    "controller": lambda life: life.controller.live(),
+    "stalls": Life._trouble,
+    "disk trouble": Life._disk_trouble,
+}
+"""What can go wrong without a user, by its name."""

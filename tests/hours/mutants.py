@@ -169,6 +169,27 @@ def _half_open_keep_their_places(_town: Any) -> None:
     )
 
 
+def _strangers_keep_the_panels_out(_town: Any) -> None:
+    """Connections to the S7 server that say nothing are never closed and make no room."""
+    from hilserver.io.places import PlaceKeeper
+    from hilserver.io.s7 import server
+
+    take = PlaceKeeper.take
+
+    def taking(self: Any, address: str, end: Any) -> Any:
+        return None if len(self) >= self._most else take(self, address, end)
+
+    PlaceKeeper.take = taking
+    server.HANDSHAKE_S = 1e6
+
+
+def _old_blocks(town: Any) -> None:
+    """The S7 server answers with the block of its first frame."""
+    link = town.daemon.part("s7")
+    link._newest()
+    link._newest = lambda: link._contents
+
+
 def _dead_man_never_ends(town: Any) -> None:
     """A stick whose computer is gone drives on."""
     for source in ("page", "opcua:teleop"):
@@ -210,6 +231,8 @@ MUTANTS = {
     "stale snapshot": _stale_snapshot,
     "slow reader holds all": _slow_reader_holds_all,
     "half-open keep their places": _half_open_keep_their_places,
+    "strangers keep the panels out": _strangers_keep_the_panels_out,
+    "old blocks": _old_blocks,
     "dead-man never ends": _dead_man_never_ends,
     "peer link dies": _peer_link_dies,
     "snapshots in place": _snapshots_in_place,

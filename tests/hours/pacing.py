@@ -3,9 +3,11 @@
 It stands for the thread of the product, which does not stop when the event loop does.
 """
 
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
+from numba.core.dispatcher import Dispatcher
 from numba.experimental import function_type
 
 from hilserver.scheduler.law import PLANNED, begin
@@ -16,9 +18,23 @@ from hilserver.scheduler.turn import ENDED, RING, STANDING
 from tests.hours.clock import CLOCK
 from tests.hours.loop import NS
 
-# Looked up anew in every batch, the addresses of the step would take most of its time.
+
+def _once(look_up: Callable[[Any, Any], int]) -> Callable[[Any, Any], int]:
+    """Look an address up once for each step, of which each has one signature."""
+    found: dict[Any, int] = {}
+
+    def address(step: Any, signature: Any) -> int:
+        if step not in found:
+            found[step] = look_up(step, signature)
+        return found[step]
+
+    return address
+
+
+# Looked up anew in every batch, type and addresses of the step would take most of its time.
+Dispatcher._numba_type_ = property(cache(Dispatcher._numba_type_.fget))
 for name in ("_get_wrapper_address", "_get_jit_address"):
-    setattr(function_type, name, cache(getattr(function_type, name)))
+    setattr(function_type, name, _once(getattr(function_type, name)))
 
 
 class ClockPacing:

@@ -4,9 +4,11 @@ import os
 import re
 import subprocess
 import sys
+from argparse import Namespace
 
 import pytest
 
+from tests.hours.__main__ import _Lives
 from tests.hours.mutants import MUTANTS
 
 SEEDS, SECONDS = 20, 20
@@ -48,6 +50,24 @@ def test_a_seed_is_the_same_life_in_every_process(tmp_path):
     one = lives("0:2", PYTHONHASHSEED="1")
     other = lives("0:2", PYTHONHASHSEED="2", TMPDIR=str(tmp_path))
     assert digests(one) == digests(other)
+
+
+def test_a_failing_seed_shrinks_to_what_it_needs(monkeypatch):
+    options = Namespace(mode="poll", seconds=20.0, mutant=None, without=[])
+    lives, needed = _Lives(None, options), {"browser 1", "stalls"}
+    result = {
+        "seed": 7,
+        "parts": ["program 0", "browser 1", "stalls"],
+        "found": ["5.809 s: browser 1 drives after Reset"],
+    }
+
+    def forked(_seed, _plant, without):
+        of_another = ["3.1 s: nobody gets in"]
+        return {"found": of_another if needed & {*without} else result["found"]}
+
+    monkeypatch.setattr(lives, "_forked", forked)
+    repeat = "python -m tests.hours 7 --mode poll --without 'program 0'"
+    assert lives._shrunk(result, None) == repeat
 
 
 def digests(said):

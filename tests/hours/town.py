@@ -5,6 +5,7 @@ import contextlib
 import fcntl
 import mmap
 import os
+import random
 from collections import deque
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
@@ -15,6 +16,7 @@ import structlog
 
 import hilserver.image.process_image
 import hilserver.image.reader
+import hilserver.opcua.transport
 import hilserver.scheduler.scheduler
 from hilserver.config.root import Config
 from hilserver.controller.server import ControllerServer
@@ -28,7 +30,8 @@ from tests.hours.loop import VirtualLoop
 from tests.hours.network import MemoryTransport, Network
 from tests.hours.pacing import ClockPacing
 
-OPCUA_PORT, PEER_PORT = 4840, 53880
+OPCUA_PORT, PEER_PORT, S7_PORT = 4840, 53880, 10102
+S7_CLIENTS = 8
 RING_FRAMES = 1 << 13
 PUBLISH_MS = 50.0
 SAFE_RAMP_S = 0.1
@@ -56,6 +59,18 @@ def configuration(mode: str) -> dict[str, Any]:
             "max_sessions": 20,
         },
         "metrics": {"port": 9464},
+        "s7": {
+            "server": {
+                "port": S7_PORT,
+                "max_clients": S7_CLIENTS,
+                "blocks": {
+                    1: [
+                        {"signal": "sim.tick", "at": 0, "type": "DINT"},
+                        {"signal": "measured.pose.x_m", "at": 4},
+                    ]
+                },
+            }
+        },
         "page": {"deadman_ms": HAND_LEASE_MS},
         "peers": [
             {
@@ -119,6 +134,7 @@ class Town:
         self.stalls: list[tuple[int, int]] = []  # when nothing ran in the loop
         self.holds: list[tuple[int, int]] = []  # when nothing arrived
         self.is_recorded = False
+        self.seed = 0
         self.stood_ns = 0  # when the plant was last seen paused
         self._inject()
         settings = configuration(mode)
@@ -132,6 +148,8 @@ class Town:
         hilserver.scheduler.scheduler.ThreadPacing = ClockPacing
         hilserver.image.process_image.SharedFile = PrivateFile
         hilserver.image.reader.map_read_only = PrivateFile.made.__getitem__
+        # it would look for our connections among those of the computer
+        hilserver.opcua.transport.is_own_program = lambda *_: False
         structlog.configure(
             processors=[self._log], logger_factory=structlog.ReturnLoggerFactory()
         )
@@ -146,6 +164,10 @@ class Town:
             self.on_heard(at.other.label)
         elif at.names[1][1] == PEER_PORT:
             self.on_heard("peer")
+
+    def chance_of(self, who: str) -> random.Random:
+        """Return a chance of its own: whoever is left out changes nothing of what others draw."""
+        return random.Random(f"{self.seed} {who}")
 
     def stand_still(self, seconds: float) -> None:
         """Hold up the event loop."""
@@ -182,6 +204,7 @@ class Town:
             "tasks": (len(asyncio.all_tasks()), MOST_TASKS),
             "connections": (len(listener.clients), settings.max_connections),
             "sessions": (len(server.sessions), settings.max_sessions),
+            "S7 clients": (len(daemon.part("s7")._server._places), S7_CLIENTS),
             "subscriptions": (len(subscriptions), settings.max_subscriptions),
             "unsent bytes": (
                 self.network.most_unsent.get(OPCUA_PORT, 0),
@@ -193,12 +216,13 @@ class Town:
     def not_good(self) -> list[str]:
         """Return what is not as it has to be when nothing is wrong."""
         daemon = self.daemon
+        links = [link for link in daemon._statuses() if link.name != "s7"]
         found = [
-            f"peer {s.name} is not connected: {s.last_error}"
-            for s in daemon._statuses()
-            if not s.connected
+            f"peer {link.name} is not connected: {link.last_error}"
+            for link in links
+            if not link.connected
         ]
-        found += [f"peer {s.name} is stale" for s in daemon._statuses() if s.stale]
+        found += [f"peer {link.name} is stale" for link in links if link.stale]
         if why := daemon.core.tasks.why_down():
             found.append(why)
         running = {job.name for job in daemon.core.tasks.jobs if job.lasting}

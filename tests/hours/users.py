@@ -12,6 +12,8 @@ from asyncua import Client, ua
 
 from hilserver.io.page.hand import Hand, RefusedError
 from hilserver.io.page.setup import OpcUaAccess
+from hilserver.io.peer_link.samples import LinkLostError, LinkRefusedError
+from hilserver.io.s7.connection import AnswerError
 from hilserver.time_limit import time_limit
 from tests.control.clients import M_S_PER_RPM
 from tests.hours.clock import CLOCK
@@ -28,7 +30,10 @@ TYPES = {
     float: ua.VariantType.Double,
 }
 TYPES[str] = ua.VariantType.String
-LOST = (OSError, TimeoutError, ua.UaError, RefusedError, asyncio.InvalidStateError)
+LOST = (
+    *(OSError, TimeoutError, ua.UaError, RefusedError, asyncio.InvalidStateError),
+    *(AnswerError, LinkLostError, LinkRefusedError),
+)
 
 
 class User:
@@ -40,7 +45,7 @@ class User:
 
     def __init__(self, name: str, town: Town, ledger: Ledger) -> None:
         self.name, self.town, self.ledger = name, town, ledger
-        self.chance = town.loop.chance
+        self.chance = town.chance_of(name)
         self.is_over = False
         self.is_frozen = False
         self.speed: Speed | None = None
@@ -300,7 +305,7 @@ class Controller:
     name = kind = "peer"
 
     def __init__(self, town: Town, ledger: Ledger) -> None:
-        self.town, self.ledger, self.chance = town, ledger, town.loop.chance
+        self.town, self.ledger, self.chance = town, ledger, town.chance_of("peer")
         self.is_over, self.is_silent, self._sequence = False, False, 0
 
     def change(self) -> None:

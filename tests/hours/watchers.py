@@ -3,13 +3,17 @@
 import asyncio
 import contextlib
 import itertools
+import struct
 from typing import Any
 
 from asyncua import ua
 
+from hilserver.config.s7 import Endpoint
+from hilserver.io.s7.connection import S7Connection, S7Write
+from hilserver.io.s7.wire import Item
 from tests.hours.clock import CLOCK
 from tests.hours.loop import NS
-from tests.hours.town import OPCUA_PORT, PUBLISH_MS
+from tests.hours.town import OPCUA_PORT, PUBLISH_MS, S7_PORT
 from tests.hours.users import LOST, User
 
 FRESH_S = 1.0
@@ -19,6 +23,10 @@ PUBLISHING_MS = 300.0
 HOUR_MS = 3.6e6
 LONGEST_LIFE_S = 900.0  # of what a client has left behind
 MANY = 200
+GREETINGS = (
+    (OPCUA_PORT, b"HELF\x20\x00\x00\x00"),
+    (S7_PORT, b"\x03\x00\x00\x16\x11\xe0"),
+)
 
 
 class _Seen:
@@ -158,6 +166,39 @@ class Engineer(User):
         await self.act("Unforce", "battery.voltage_v")
 
 
+class Panel(User):
+    """A panel that reads and writes a data block over S7."""
+
+    acts = (
+        (6, "look"), (3, "note"), (1, "cut"), (1, "vanish"), (2, "freeze"), (1, "leave"),
+    )  # fmt: skip
+
+    async def connect(self) -> None:
+        self._connection = S7Connection(Endpoint("127.0.0.1", S7_PORT, 0, 1))
+        await self._connection.__aenter__()
+
+    async def disconnect(self) -> None:
+        await self._connection.__aexit__()
+
+    @property
+    def transport(self) -> Any:
+        return self._connection._writer.transport
+
+    async def do_look(self) -> None:
+        """Look twice: time has passed."""
+        begun_ns = CLOCK.now_ns
+        first = await self._connection.read(1, 0, 4)
+        await asyncio.sleep(self.chance.uniform(0.1, 0.5))
+        second = await self._connection.read(1, 0, 4)
+        if first == second and not self.town.has_stood(begun_ns):
+            self.found.append(f"{self.name} reads the same tick again")
+
+    async def do_note(self) -> None:
+        """Write what was measured outside."""
+        number = struct.pack(">f", self.chance.uniform(-1.0, 1.0))
+        await self._connection.write([S7Write(Item(1, 8 * 4, 4), number)])
+
+
 class Stranger(User):
     """Opens connections that never log in, and keeps them: drivers get in all the same."""
 
@@ -171,10 +212,11 @@ class Stranger(User):
 
     async def _open(self) -> None:
         network = self.town.network
-        end, _ = await network.connect(_Silent, "127.0.0.1", OPCUA_PORT)
+        port, begin = self.chance.choice(GREETINGS)
+        end, _ = await network.connect(_Silent, "127.0.0.1", port)
         end.label = "stranger"
         if self.chance.random() < 0.5:
-            end.write(b"HELF\x20\x00\x00\x00"[: self.chance.randint(1, 8)])
+            end.write(begin[: self.chance.randint(1, len(begin))])
         if self.chance.random() < 0.3:
             network.vanish(end)
 

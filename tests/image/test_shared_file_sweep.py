@@ -7,6 +7,7 @@ import pytest
 
 from hilserver.errors import FailedError
 from hilserver.image.shared_file import SharedFile, map_read_only, path_of, sweep
+from hilserver.program.shared_memory import made_up_in_use
 
 
 def test_an_owned_file_cannot_be_taken_and_is_not_swept():
@@ -28,6 +29,17 @@ def test_what_a_killed_daemon_left_is_swept_when_it_is_old():
     assert left.exists(), "its owner may be about to lock it"
     assert sweep(now_s=time.time() + 1000) >= 1
     assert not left.exists()
+
+
+def test_made_up_names_in_use_are_listed():
+    used, left = f"auto-{os.getpid()}-used", f"auto-{os.getpid()}-unused"
+    owner = SharedFile(used, 4096)
+    path_of(left).touch()
+    found = made_up_in_use()
+    owner.close()
+    path_of(left).unlink()
+    assert used in found
+    assert left not in found
 
 
 def test_chosen_names_are_not_swept_but_taken_over():

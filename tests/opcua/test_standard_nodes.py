@@ -127,7 +127,9 @@ async def test_equal_attributes_take_memory_once_and_values_of_variables_are_the
     assert len(set(values)) == len(values) > 1000
 
 
+@pytest.mark.long
 async def test_a_damaged_file_is_written_anew(built, file):
+    """In every run `test_cache.py` damages files of a shelf."""
     file.write_bytes(built[2][:-100])
     assert described(await loaded()) == built[0]
     assert file.read_bytes() == built[2]

@@ -31,7 +31,12 @@ GROWTH_MB_PER_H = 6.0
 NOISE_MB = 3.0
 BACKLOG_MB = 30.0
 """What a recorder that a busy computer holds up may have to write yet when the short one ends."""
-CONFIG = "scheduler: {catch_up_limit: 10000}\n"
+CONFIG = """
+scheduler:
+  catch_up_limit: 10000
+  communication_timeout_ms: 0
+  limits: {single_overrun_ms: null, consecutive_overruns: null}
+"""
 """What a busy computer took from the simulation, it gets back: no tick is ever left out."""
 NODES = ("pose.x_m", "pose.y_m", "pose.yaw_rad", "sim.tick", "battery.voltage_v")
 
@@ -69,11 +74,11 @@ async def poll(daemon, duration_s, pids):
         while (elapsed_s := time.monotonic() - start_s) < duration_s:
             assert all(v is not None for v in await client.read_values(nodes))
             reads += 1
+            frame = reader.latest()
+            times_ns.append(
+                (frame.tick * PERIOD_NS, frame.planned_ns, time.monotonic_ns())
+            )
             if elapsed_s >= len(samples) * SAMPLE_S:
-                frame = reader.latest()
-                times_ns.append(
-                    (frame.tick * PERIOD_NS, frame.planned_ns, time.monotonic_ns())
-                )
                 tasks = await asyncio.to_thread(asyncio_tasks, daemon.metrics_url)
                 samples.append([(*usage(pid), tasks) for pid in pids])
             await asyncio.sleep(POLL_S)
@@ -120,14 +125,14 @@ def report(samples, times_ns, reads, text, duration_s):
 def deviations_ns(times_ns):
     """By how much simulated time left the grid of planned starts, and the wall clock.
 
-    The second is seen from outside through a scheduler of the system: medians of the first and the
-    last quarter are compared.
+    The second is seen from outside through a scheduler of the system, which may show a tick late
+    but never early: the promptest looks of the first and the last quarter are compared.
     """
     simulated, planned, wall = times_ns.T
     late = wall - simulated
     quarter = len(late) // 4
     return int(np.ptp(planned - simulated)), int(
-        abs(np.median(late[-quarter:]) - np.median(late[:quarter]))
+        abs(late[-quarter:].min() - late[:quarter].min())
     )
 
 
@@ -148,7 +153,7 @@ def assert_flat(samples, duration_s, noise_mb=NOISE_MB):
 @pytest.mark.parametrize(
     ("duration_s", "noise_mb", "max_wall_ns"),
     [
-        # A computer shared with other tests wakes the one that looks late.
+        # A computer shared with other tests shows every tick late.
         pytest.param(SHORT_S, BACKLOG_MB, 20 * PERIOD_NS, id="half_a_minute"),
         pytest.param(
             LONG_S,

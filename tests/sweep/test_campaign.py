@@ -61,10 +61,10 @@ def here(prepared):
 def test_a_machine_that_kills_its_worker_fails_alone(sweep, monkeypatch):
     monkeypatch.setattr(campaign, "LIVES", 2)
     victim = sweep().machine(2).seed
-    prepared = sweep(seed=victim, machines=12)
+    prepared = sweep(seed=victim, machines=4)
     found = driven(prepared, LocalWorkers(1, 1000.0))
     assert "stopped its worker 2 times" in found[2].error
-    expected = here(sweep(machines=12))
+    expected = here(sweep(machines=4))
     assert [o.margins for o in found if o.index != 2] == [
         o.margins for o in expected if o.index != 2
     ]

@@ -11,7 +11,7 @@ from hilserver.io.recorder.marks import Mark, Marks
 from hilserver.io.recorder.source import FrameSource
 from tests.fakes import make_image
 
-RING, BATCH, TICKS = 1024, 100, 20_000
+RING, BATCH, TICKS = 1024, 100, 6_000
 VIRTUAL = {"configuration": {"scheduler": {"backend": "virtual"}}}
 
 
