@@ -9,9 +9,11 @@ import argparse
 import os
 import re
 import sys
-from collections.abc import Generator
+from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 from hilserver.commands.options import (
     PROCESSES,
@@ -22,17 +24,43 @@ from hilserver.commands.options import (
     comma_names,
     config_path,
 )
+from hilserver.diagnosis.catalogue.vocabulary import CAUSES
 from hilserver.diagnosis.many import on_cluster
 from hilserver.diagnosis.output import REPORT, write, write_files
 from hilserver.diagnosis.pipeline import Task, TaskOutcome
 from hilserver.diagnosis.pipeline import run as diagnose
-from hilserver.errors import EXIT_DONE, ConfigError, FailedError, LogError
+from hilserver.diagnosis.power.attempts import (
+    Attempt,
+    AttemptOutcome,
+    attempted,
+    attempts_of,
+    until,
+)
+from hilserver.diagnosis.power.table import (
+    CSV,
+    JSON,
+    PowerRow,
+    files_of,
+    lines_of,
+    rows_of,
+)
+from hilserver.errors import (
+    EXIT_DONE,
+    ConfigError,
+    FailedError,
+    LogError,
+    UsageError,
+    meant,
+)
 from hilserver.exchange import FORMATS
 from hilserver.program.progress import Progress
 from hilserver.program.workers import in_processes
 
 EXAMPLE = "hilserver diagnose run1.csv run2.csv -c config.yaml -o diagnosis"
 STOPPED = "stopped before the diagnosis was finished: no report was written"
+MOST_MINUTES = 60.0
+T = TypeVar("T")
+R = TypeVar("R")
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,40}")
 _ERRORS = {2: LogError, 78: ConfigError}
 
@@ -76,7 +104,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--dask",
         metavar="ADDRESS",
-        help="with --each: use this Dask cluster, as tcp://host:8786",
+        help="with --each or --try: use this Dask cluster, as tcp://host:8786",
+    )
+    parser.add_argument(
+        "--try",
+        dest="tries",
+        action="store_true",
+        help="put known effects into the log and report which of them would have been found",
+    )
+    parser.add_argument(
+        "--causes",
+        type=_causes,
+        default=(),
+        metavar="NAME,NAME",
+        help="with --try: only these causes; default: all that the log can show",
+    )
+    parser.add_argument(
+        "--minutes",
+        type=_minutes,
+        default=MOST_MINUTES,
+        metavar="N",
+        help=f"with --try: begin no effect after this time; default: {MOST_MINUTES:g}",
     )
     parser.add_argument(
         "--robot",
@@ -136,6 +184,25 @@ def _formats(text: str) -> tuple[str, ...]:
     return names
 
 
+def _causes(text: str) -> tuple[str, ...]:
+    names = tuple(name.strip() for name in text.split(","))
+    for name in names:
+        if name not in CAUSES:
+            hint = meant(name, CAUSES, "findings.json lists them")
+            raise argparse.ArgumentTypeError(f"there is no cause '{name}'; {hint}")
+    return names
+
+
+def _minutes(text: str) -> float:
+    try:
+        minutes = float(text)
+    except ValueError:
+        minutes = 0.0
+    if not 0.0 < minutes <= 10_000.0:
+        raise argparse.ArgumentTypeError(f"{text} is no time; write minutes, as 30")
+    return minutes
+
+
 def run(args: argparse.Namespace) -> int:
     """Diagnose; return 0 whatever was found, 2 if a log cannot be read."""
     _check(args)
@@ -163,7 +230,37 @@ def run(args: argparse.Namespace) -> int:
     write(args.out, outcome.files)
     print(outcome.summary)
     print(f"The report is {args.out / REPORT}")
+    if args.tries:
+        _try(args, task)
     return EXIT_DONE
+
+
+def _try(args: argparse.Namespace, task: Task) -> None:
+    """Put known effects into the log; write and print which of them would have been found."""
+    task = _absolute(replace(task, jobs=1, formats=()))
+    results: dict[int, AttemptOutcome] = {}
+    attempts: list[Attempt] = []
+
+    def stopped() -> str:
+        done = f"{len(results)} of {len(attempts)} effects"
+        return f"stopped after {done}; {args.out / JSON} holds their outcomes"
+
+    with Progress(stopped) as progress:
+        progress("trying: the recording as it is", 0.0)
+        control = attempted(Attempt(task, label=""))
+        if control.error:
+            raise FailedError(control.error)
+        attempts += attempts_of(task, control, args.causes)
+        rows: list[PowerRow] = []
+        write_files(args.out, files_of(rows, len(attempts)), (CSV, JSON))
+        with closing(_spread(attempted, attempts, args)) as outcomes:
+            for index, outcome in until(outcomes, 60.0 * args.minutes):
+                results[index] = outcome
+                rows = rows_of(attempts, results, control)
+                write_files(args.out, files_of(rows, len(attempts)))
+                share = len(results) / len(attempts)
+                progress(f"trying: {len(results)} of {len(attempts)} effects", share)
+    print("\n".join(lines_of(rows, len(attempts))))
 
 
 def _aid(args: argparse.Namespace, outcome: TaskOutcome) -> str:
@@ -179,73 +276,97 @@ def _aid(args: argparse.Namespace, outcome: TaskOutcome) -> str:
 
 def _check(args: argparse.Namespace) -> None:
     if bool(args.compare) != bool(args.against):
-        raise FailedError(
+        raise UsageError(
             "--compare and --against belong together: logs before and after a change"
         )
     if args.compare and (args.logs or args.each):
-        raise FailedError(
+        raise UsageError(
             "--compare A... --against B... cannot be combined with other logs or --each"
         )
     if args.compare and args.formats:
-        raise FailedError("--for writes what one diagnosis found: leave --compare out")
+        raise UsageError("--for writes what one diagnosis found: leave --compare out")
     if args.group:
         _check_groups(args)
     elif not args.compare and not args.logs:
-        raise FailedError(
+        raise UsageError(
             "name at least one log, or two sets with --compare and --against"
         )
     if args.test and (args.compare or args.each):
-        raise FailedError("--test cannot be combined with --compare or --each")
+        raise UsageError("--test cannot be combined with --compare or --each")
     if args.marks and (args.compare or args.each or args.group or args.test):
-        raise FailedError(
+        raise UsageError(
             "--marks cannot be combined with --compare, --each, --group or --test: its times are"
             " those of one set of logs"
         )
-    if args.dask and not args.each:
-        raise FailedError("--dask distributes many logs: use it with --each")
+    _check_tries(args)
+    if args.dask and not (args.each or args.tries):
+        raise UsageError(
+            "--dask distributes many diagnoses: use it with --each or --try"
+        )
     if args.out.exists() and not args.out.is_dir():
         raise FailedError(f"{args.out}: is a file; name a folder for the report")
 
 
+def _check_tries(args: argparse.Namespace) -> None:
+    others = args.compare or args.each or args.group or args.test or args.marks
+    if args.tries and others:
+        raise UsageError(
+            "--try cannot be combined with --compare, --each, --group, --test or --marks: it puts"
+            " effects into one set of logs"
+        )
+    if args.causes and not args.tries:
+        raise UsageError("--causes names what to try: use it with --try")
+
+
 def _check_groups(args: argparse.Namespace) -> None:
     if args.logs or args.each or args.compare or args.test:
-        raise FailedError(
+        raise UsageError(
             "--group cannot be combined with other logs, --each, --compare or --test"
         )
     names = [name for name, _ in args.group]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
-        raise FailedError(f"--group {twice} is given twice; put all its logs into one")
+        raise UsageError(f"--group {twice} is given twice; put all its logs into one")
     if len(names) < 2:
-        raise FailedError(
+        raise UsageError(
             "--group compares groups of logs: name two or more, or leave it out"
         )
 
 
-def _each(args: argparse.Namespace) -> int:
-    config = config_path(args)
-    config = None if config is None else config.absolute()
-    mapping = args.mapping
+def _absolute(task: Task) -> Task:
+    """Return a task for a worker, which may run in another folder."""
+    mapping = task.mapping
     if mapping is not None and Path(mapping).exists():
         mapping = str(Path(mapping).absolute())
-    tasks = [
-        Task(
-            (log.absolute(),),
-            config,
-            mapping,
-            seed=args.seed,
-            robot=None if args.robot is None else args.robot.absolute(),
-            formats=args.formats,
-        )
-        for log in args.logs
-    ]
+    return replace(
+        task,
+        logs=tuple(log.absolute() for log in task.logs),
+        config=None if task.config is None else task.config.absolute(),
+        mapping=mapping,
+        robot=None if task.robot is None else task.robot.absolute(),
+    )
+
+
+def _each(args: argparse.Namespace) -> int:
+    one = Task(
+        logs=(),
+        config=config_path(args),
+        mapping=args.mapping,
+        seed=args.seed,
+        robot=args.robot,
+        formats=args.formats,
+    )
+    tasks = [_absolute(replace(one, logs=(log,))) for log in args.logs]
     folders = _folders(args.logs)
     code, done = EXIT_DONE, 0
 
     def stopped() -> str:
         return f"stopped after {done} of {len(tasks)} logs; their reports are kept"
 
-    with Progress(stopped) as progress, closing(_outcomes(args, tasks)) as outcomes:
+    with (
+        Progress(stopped) as progress,
+        closing(_spread(diagnose, tasks, args)) as outcomes,
+    ):
         for index, outcome in outcomes:
             done += 1
             progress(f"{done} of {len(tasks)} logs", done / len(tasks))
@@ -258,12 +379,13 @@ def _each(args: argparse.Namespace) -> int:
     return code
 
 
-def _outcomes(
-    args: argparse.Namespace, tasks: list[Task]
-) -> Generator[tuple[int, TaskOutcome], None, None]:
+def _spread(
+    function: Callable[[T], R], tasks: Sequence[T], args: argparse.Namespace
+) -> Generator[tuple[int, R], None, None]:
+    """Return the results of tasks from a cluster, or from processes of this computer."""
     if args.dask:
-        return on_cluster(diagnose, tasks, args.dask)
-    return in_processes(diagnose, tasks, args.jobs)
+        return on_cluster(function, tasks, args.dask)
+    return in_processes(function, tasks, args.jobs)
 
 
 def _folders(logs: list[Path]) -> list[str]:

@@ -24,6 +24,7 @@ from hilserver.measured.marks import with_marks
 from hilserver.measured.proposal import FILE as PROPOSAL
 from hilserver.measured.proposal import ForeignLog
 from hilserver.measured.reading import read_measured
+from hilserver.plant.parameters import RobotParameters
 
 
 @dataclass(frozen=True)
@@ -111,6 +112,19 @@ def judge(
     return diagnose(
         log, assembly, seed=task.seed, jobs=task.jobs, progress=progress, test=test
     )
+
+
+def opened(task: Task) -> tuple[MeasuredLog, RobotParameters]:
+    """Read the logs of a task; return them, and the configured robot.
+
+    Raises
+    ------
+    LogError, ConfigError
+        See `judge`.
+    """
+    assembly = _assembled(task, read_robot(task.robot) if task.robot else None)
+    sampling = Sampling.of(assembly.config)
+    return read_measured(task.logs, task.mapping, sampling), assembly.robot
 
 
 def _assembled(task: Task, described: DescribedRobot | None) -> Assembly:

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Final
 
+import numpy as np
 from pydantic import Field
 
 from hilserver.config.loading import load, place
@@ -62,18 +63,24 @@ def with_marks(log: MeasuredLog, path: Path) -> MeasuredLog:
 
 
 def _run_of(log: MeasuredLog, mark: FloorMark) -> int:
-    """Return the span that contains a mark; ValueError says why none does."""
-    spans = log.spans
+    """Return the span that contains a mark; ValueError says why none does.
+
+    A run lasts until the next row would have come, but a mark inside another one is of that.
+    """
+    spans, row_s = log.spans, _row_s(log)
     known = {span.number_recorded for span in spans}
     if mark.segment is not None and mark.segment not in known:
         numbers = f"{min(known)} to {max(known)}"
         raise ValueError(f"segment {mark.segment} is not in the log; it has {numbers}")
-    inside = [
-        index
-        for index, span in enumerate(spans)
-        if span.start_s <= mark.t_s <= span.end_s
-        and mark.segment in (None, span.number_recorded)
-    ]
+    for more_s in (0.0, row_s):
+        inside = [
+            index
+            for index, span in enumerate(spans)
+            if span.start_s - more_s <= mark.t_s <= span.end_s + more_s
+            and mark.segment in (None, span.number_recorded)
+        ]
+        if inside:
+            break
     if not inside:
         asked = [s for s in spans if mark.segment in (None, s.number_recorded)]
         first_s = min(span.start_s for span in asked)
@@ -93,7 +100,7 @@ def _run_of(log: MeasuredLog, mark: FloorMark) -> int:
     other_s = mark.other_t_s
     if other_s is None:
         return inside[0]
-    if not span.start_s <= other_s <= span.end_s:
+    if not span.start_s - row_s <= other_s <= span.end_s + row_s:
         raise ValueError(
             f"the time {other_s:g} that it refers to is outside its run, which goes from"
             f" {span.start_s:g} to {span.end_s:g} s; refer to a time of the same run"
@@ -101,3 +108,12 @@ def _run_of(log: MeasuredLog, mark: FloorMark) -> int:
     if other_s == mark.t_s:
         raise ValueError("it refers to its own time; refer to another one")
     return inside[0]
+
+
+def _row_s(log: MeasuredLog) -> float:
+    """Return the usual time between two rows."""
+    steps_s = [
+        np.diff(channel.t_s)[np.diff(channel.span) == 0]
+        for channel in log.channels.values()
+    ]
+    return min((float(np.median(own)) for own in steps_s if len(own)), default=0.0)

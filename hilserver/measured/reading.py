@@ -13,7 +13,14 @@ from hilserver.logs.bag_reader import is_own_bag
 from hilserver.logs.reading import is_bag_of_ros, refuse_others
 from hilserver.measured.bag import is_bag, read_bag
 from hilserver.measured.bag_proposal import refuse_unmapped
-from hilserver.measured.channels import DEMANDS, DUTY_COMMANDS, MODE, SETPOINTS, TWIST
+from hilserver.measured.channels import (
+    DEMANDS,
+    DUTY_COMMANDS,
+    MODE,
+    SETPOINTS,
+    SPEEDS,
+    TWIST,
+)
 from hilserver.measured.data import Channel, LogSource, MeasuredLog, Span
 from hilserver.measured.frames import Sampling
 from hilserver.measured.mapping import LogMapping, load_mapping
@@ -33,6 +40,7 @@ from hilserver.measured.thresholds import (
     SHORTEST_LOG_S,
     SHORTEST_SEGMENT_S,
     SLOWEST_ROWS_S,
+    TURNING_RPM,
 )
 from hilserver.plant.layout import MODE_TWIST
 
@@ -223,8 +231,15 @@ def _pool(log: MeasuredLog, recordings: Sequence[Recording]) -> MeasuredLog:
             for name, piece in _channels(part, span + len(spans)).items():
                 pieces.setdefault(name, []).append(piece)
         spans += own
-    channels = {name: _joined(found) for name, found in pieces.items()}
-    return replace(log, channels=_commanded(channels), spans=tuple(spans))
+    channels = _commanded({name: _joined(found) for name, found in pieces.items()})
+    log = replace(log, channels=channels, spans=tuple(spans))
+    if not _at_zero(channels) or not _turning(channels):
+        return log
+    return log.without(SETPOINTS).noticed(
+        "the set-points of the wheels are zero all the time while the wheels turn: something else"
+        f" commanded them, as a twist; record {DEMANDS[0]} and the others, which are what the"
+        " wheels were asked for in every mode"
+    )
 
 
 def _commanded(channels: Mapping[str, Channel]) -> dict[str, Channel]:
@@ -237,13 +252,26 @@ def _commanded(channels: Mapping[str, Channel]) -> dict[str, Channel]:
     by_twist = MODE in found and (found[MODE].values == MODE_TWIST).any()
     asked = all(name in channels for name in DEMANDS)
     known = found.keys() & {*TWIST, *DUTY_COMMANDS}
-    by_wheel = found.keys() >= set(SETPOINTS) and not by_twist
+    by_wheel = found.keys() >= set(SETPOINTS) and not by_twist and not _at_zero(found)
     if not asked or known or by_wheel:
         return found
     found.pop(MODE, None)
     for setpoint, demand in zip(SETPOINTS, DEMANDS, strict=True):
         found[setpoint] = channels[demand]
     return found
+
+
+def _at_zero(channels: Mapping[str, Channel]) -> bool:
+    """Return whether the wheels have set-points, and never one that is not zero."""
+    return channels.keys() >= set(SETPOINTS) and not any(
+        channels[name].values.any() for name in SETPOINTS
+    )
+
+
+def _turning(channels: Mapping[str, Channel]) -> bool:
+    """Return whether a wheel turns half of the time or more."""
+    speeds = (abs(channels[name].values) for name in SPEEDS if name in channels)
+    return any(len(own) and float(np.median(own)) > TURNING_RPM for own in speeds)
 
 
 def _spans(recording: Recording, offset: int) -> tuple[list[Span], list[Indices]]:

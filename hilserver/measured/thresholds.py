@@ -14,6 +14,9 @@ LONGEST_LOG_S: Final = 28_800.0  # s
 FEWEST_VALUES: Final = 20  # different values; fewer do not show the rate of new ones
 # simulated wheels have no noise that more rows would average
 ENOUGH_ROWS: Final = 20_000
+TURNING_RPM: Final = (
+    2.0  # rpm: no noise of a wheel at rest is that large half of the time
+)
 UNIT_NORM: Final = 0.1  # a quaternion whose norm is further from 1 is no orientation
 
 # Where a segment ends

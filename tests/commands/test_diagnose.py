@@ -105,12 +105,12 @@ def test_a_signal_that_a_compiler_turns_into_an_error_of_its_own_is_a_sentence_t
 def test_a_signal_among_many_logs_keeps_the_reports_so_far(
     stages, tmp_path, monkeypatch, capsys
 ):
-    def outcomes(args, tasks):
+    def outcomes(_function, tasks, _args):
         yield 0, pipeline.run(tasks[0])
         os.kill(os.getpid(), signal.SIGINT)
         yield 1, pipeline.run(tasks[1])
 
-    monkeypatch.setattr("hilserver.commands.diagnose._outcomes", outcomes)
+    monkeypatch.setattr("hilserver.commands.diagnose._spread", outcomes)
     assert main(["diagnose", "--each", "a.csv", "b.csv", "-o", "out"]) == 0
     told = capsys.readouterr().err.splitlines()[-1]
     assert told == "hilserver: stopped after 1 of 2 logs; their reports are kept"
@@ -154,7 +154,9 @@ def test_two_sets_are_compared(stages, capsys):
             "cannot be combined with other logs",
         ),
         (["a.csv", "--dask", "tcp://h:1", "-o", "out"], "use it with --each"),
-        (["a.csv", "-o", "file"], "file: is a file"),
+        (["a.csv", "--try", "--each", "-o", "out"], "--try cannot be combined"),
+        (["a.csv", "--try", "--marks", "m.yaml", "-o", "out"], "--try cannot be"),
+        (["a.csv", "--causes", "body_lag", "-o", "out"], "use it with --try"),
         (["--group", "a=a.csv", "-o", "out"], "name two or more"),
         (
             ["--group", "a=a.csv", "--group", "a=b.csv", "-o", "out"],
@@ -182,9 +184,28 @@ def test_two_sets_are_compared(stages, capsys):
 def test_options_that_do_not_fit_are_a_sentence(
     stages, tmp_path, capsys, words, complaint
 ):
-    (tmp_path / "file").write_text("")
-    assert main(["diagnose", *words]) == 1
+    assert main(["diagnose", *words]) == 2
     assert complaint in capsys.readouterr().err
+
+
+def test_a_file_in_the_place_of_the_folder_is_a_sentence(stages, tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert main(["diagnose", "a.csv", "-o", "file"]) == 1
+    assert "file: is a file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["--causes", "wheel_radios"], "did you mean 'wheel_radius'?"),
+        (["--minutes", "soon"], "soon is no time"),
+    ],
+)
+def test_what_cannot_be_tried_is_a_sentence(stages, capsys, words, complaint):
+    with pytest.raises(SystemExit):
+        main(["diagnose", "a.csv", "--try", *words, "-o", "out"])
+    assert complaint in capsys.readouterr().err
+    assert not stages
 
 
 @pytest.mark.parametrize("text", ["a.csv", "=a.csv", "a=", "two words=a.csv"])
@@ -242,7 +263,7 @@ def test_a_space_behind_a_comma_is_named(stages, capsys):
         (["a.csv", "--robot", "none.yaml"], 78, "none.yaml: no such file"),
         (
             ["--compare", "a.csv", "--against", "b.csv", "--for", "urdf"],
-            1,
+            2,
             "leave --compare",
         ),
     ],

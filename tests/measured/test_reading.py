@@ -101,6 +101,25 @@ def test_what_the_wheels_were_asked_to_do_stands_for_commands_that_nobody_record
     }  # fmt: skip
 
 
+def test_set_points_of_zero_are_not_what_turns_the_wheels(tmp_path):
+    path = tmp_path / "log.csv"
+    zero = [f"wheel.{w}.setpoint_rpm" for w in ("fl", "rl", "fr", "rr")]
+    rows = "".join(f"{0.02 * i},30,0,0,0,0\n" for i in range(100))
+    path.write_text(f"t_s,{SPEED},{','.join(zero)}\n{rows}")
+    log = read_measured([path])
+    assert set(log.channels) == {SPEED}
+    assert any("record wheel.fl.demand_rpm" in notice for notice in log.notices)
+
+    at_rest = "".join(f"{0.02 * i},{i % 2},0,0,0,0\n" for i in range(100))
+    path.write_text(f"t_s,{SPEED},{','.join(zero)}\n{at_rest}")
+    assert set(read_measured([path]).channels) == {SPEED, *zero}
+
+    asked = [f"wheel.{w}.demand_rpm" for w in ("fl", "rl", "fr", "rr")]
+    rows = "".join(f"{0.02 * i},30,0,0,0,0,30,30,-30,-30\n" for i in range(100))
+    path.write_text(f"t_s,{SPEED},{','.join((*zero, *asked))}\n{rows}")
+    assert read_measured([path])["wheel.fl.setpoint_rpm"].values[0] == 30.0
+
+
 @pytest.mark.parametrize(
     ("measured", "value", "n"), [(True, 3.0, 1490), (False, 2.0, 1500)]
 )

@@ -20,6 +20,7 @@ from hilserver.diagnosis.marks.search import (
     MarksTrial,
 )
 from hilserver.diagnosis.marks.slip import RandomSlip
+from hilserver.diagnosis.regression.gain import Errors, compare
 from hilserver.diagnosis.regression.stages import stages_of
 from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.replay.pose_stage import PoseStage
@@ -51,13 +52,14 @@ A_SIDE: Final = (
     "Measure a long straight part of the runs with the tape as well, and mark it (from_t_s with"
     " forward_m)."
 )
+TOO_FEW: Final = "no marks of enough runs"
 TOO_WEAK: Final = "hardly excited: the marks of these runs cannot show it"
-FOLDS: Final = 5
-DRAWS: Final = 999
+FOLDS: Final = 5  # halves of six runs would be too few to select from
 FAR_FROM_MARKS_SD: Final = 4.0  # misses in standard deviations of the marks
 SMALL_ERRORS_SHARE: Final = (
     0.1  # of how far a run goes: a search for small errors ends there
 )
+STEP_S: Final = 0.01  # of the replay: where a run ends depends on nothing faster
 MISFIT: Final = 4.0  # variance; the marks then miss by twice their standard deviations
 
 
@@ -121,7 +123,7 @@ def judge_marks(
             f"{len(informing)} runs with marks of more than their beginning are too few: mark the"
             f" start and the end of {max(FEWEST_MARKED_RUNS, len(candidates))} or more"
         )
-        few = dict.fromkeys((c.cause for c in candidates), text)
+        few = dict.fromkeys((c.cause for c in candidates), TOO_FEW)
         return ByMarks(reasons=reasons | few, notices=(text, *lost_runs(runs)))
 
     search = MarksSearch(runs, RandomSlip(runs), candidates, informing, report)
@@ -163,7 +165,7 @@ def searched(
         smallest,
         reasons,
         {"position_m": gain_by_marks(search, rng)},
-        notices_of(search.level(trial)[0], len(informing), int(runs.freedom.sum()))
+        notices_of(search.scatter.variance, len(informing), int(runs.freedom.sum()))
         + lost_runs(runs),
         MarkedEnds(runs.ends({}), runs.ends(model.terms) if model.fitted else None),
         ranges_of(runs.stage),
@@ -237,7 +239,8 @@ def whole_runs(
     at_start = any_channel.with_values(np.zeros(len(any_channel)))
     shown = log.with_channels({"nav.yaw_rad": at_start})
     stage = stages_of(shown, robot, drive_terms=terms).get(PoseStage.name)
-    return stage.uncut() if isinstance(stage, PoseStage) else None
+    slices = max(round(STEP_S / robot.period_s), 1)
+    return stage.uncut(slices) if isinstance(stage, PoseStage) else None
 
 
 def ranges_of(stage: PoseStage) -> dict[str, tuple[float, float]]:
@@ -285,19 +288,11 @@ def gain_by_marks(search: MarksSearch, rng: np.random.Generator) -> Gain:
         model = replace(search, chosen=train).select().model
         rows = rows_of(runs, test)
         after[rows] = runs.residual(model.terms)[rows]
-    first, second = (_miss_m(runs, one)[informing] for one in (before, after))
-    mean_before, mean_after = float(first.mean()), float(second.mean())
-
-    drawn = rng.integers(0, len(first), (DRAWS, len(first)))
-    ratios = first[drawn].mean(axis=1) / np.maximum(second[drawn].mean(axis=1), 1e-12)
-    low, high = (float(q) for q in np.quantile(ratios, (0.025, 0.975)))
-    return Gain(
-        horizon_s=_lasts_s(runs),
-        before=mean_before,
-        after=mean_after,
-        ratio=mean_before / max(mean_after, 1e-12),
-        ci95=(low, high),
+    each = np.arange(len(informing))
+    first, second = (
+        Errors(_miss_m(runs, one)[informing], each) for one in (before, after)
     )
+    return compare(first, second, _lasts_s(runs), rng)
 
 
 def _miss_m(runs: MarkedRuns, residual: Array) -> Array:

@@ -79,6 +79,15 @@ class MarkedRuns:
         self.times_s = np.array([*(m.t_s for m in marks), *others])
         self.run_of_point = np.tile(self._run_of, 2)
 
+        # the rows of a course between which each point lies
+        segments = self.stage.segments
+        segment = np.array(self.segments, int)[self.run_of_point]
+        since_s = self.times_s - segments.start_s[segment] + segments.lead_s
+        first, last = segments.first[segment], segments.first[segment + 1] - 1
+        at = np.clip(first + since_s / segments.period_s, first, last)
+        self._row = np.minimum(at.astype(np.int64), last - 1)
+        self._beyond = at - self._row
+
         lengths = [*[self._placed] * 2, *[self._same] * 2, self._ahead]
         angles = [self._headings, self._turned]
         of_row = np.concatenate(lengths + angles)
@@ -134,13 +143,8 @@ class MarkedRuns:
 
     def poses_in(self, course: Array) -> Array:
         """Return the poses of a course at the times of all points, shape (points, 3)."""
-        segments, found = self.stage.segments, np.empty((len(self.times_s), 3))
-        for run, segment in enumerate(self.segments):
-            mine = self.run_of_point == run
-            own = course[segments.first[segment] : segments.first[segment + 1]]
-            t_s, when = segments.times(segment), self.times_s[mine]
-            found[mine] = np.stack([np.interp(when, t_s, c) for c in own.T], axis=1)
-        return found
+        before, after = course[self._row], course[self._row + 1]
+        return before + self._beyond[:, None] * (after - before)
 
     def residual(self, terms: Mapping[str, float]) -> Array:
         """Return by how much a model misses the marks, in standard deviations, shape (rows,)."""

@@ -58,6 +58,8 @@ class PoseStage(Stage):
     ----------
     jobs : int
         Threads that share the segments of a run; they do not change any digit.
+    slices : int, optional
+        Plant slices per step of the pose; without it the log decides.
 
     Attributes
     ----------
@@ -91,12 +93,13 @@ class PoseStage(Stage):
         block_s: float,
         longest_s: float | None = LONGEST_SEGMENT_S,
         jobs: int = 1,
+        slices: int | None = None,
     ) -> None:
         log = paired(log)
         self.log, self.robot = log, robot
         self.drive = None if drive is None else drive[0]
         self._driven, self._block_s = drive, block_s
-        slices = stride(log) if drive is None or log.on_ticks else STRIDES[0]
+        slices = slices or stride(log, driven=drive is not None)
         self.period_s = slices * robot.period_s
         self.begins_anew = begins_anew(log)
         self.segments = cut(log, self.period_s, longest_s, LEAD_S)
@@ -161,10 +164,15 @@ class PoseStage(Stage):
         other._judge_samples()
         return other
 
-    def uncut(self) -> "PoseStage":
+    def uncut(self, slices: int | None = None) -> "PoseStage":
         """Return the stage with whole spans as its segments."""
         return PoseStage(
-            self.log, self.robot, self._driven, block_s=self._block_s, longest_s=None
+            self.log,
+            self.robot,
+            self._driven,
+            block_s=self._block_s,
+            longest_s=None,
+            slices=slices,
         )
 
     def as_simulated(self) -> "PoseStage":
@@ -396,9 +404,11 @@ def tell_motion(robot: RobotParameters, is_there: Callable[[str], bool]) -> bool
     return all(enough(map(is_there, side)) for side in (SPEEDS[:2], SPEEDS[2:]))
 
 
-def stride(log: MeasuredLog) -> int:
+def stride(log: MeasuredLog, *, driven: bool) -> int:
     """Return how many plant slices a step of the pose takes."""
     if log.on_ticks:
         return 1
+    if driven:
+        return STRIDES[0]
     periods = [row_period_s(log[n]) for n in SPEEDS if n in log]
     return STRIDES[bool(periods) and min(periods) > SLOW_ROWS_S]

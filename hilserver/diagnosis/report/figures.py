@@ -54,9 +54,7 @@ def path(way: Path) -> Figure:
         x = _around(x, height * inner_w / inner_h)
     plot = Plot(x, y, "x [m]", "y [m]", height=400)
     plot.track(way.measured, "measured", "measured")
-    models = [("simulated", way.simulated)]
-    if way.extended is not None:
-        models.append(("extended", way.extended))
+    models = by_role(way.simulated, way.extended)
     for role, track in models:
         plot.track(track, role, role, begins=way.begins)
         starts = track[[0, *way.begins]]
@@ -81,6 +79,12 @@ def path(way: Path) -> Figure:
         title,
         f"Distance from the measured end: {ends}. {rings}",
     )
+
+
+def by_role(simulated: Array, extended: Array | None) -> list[tuple[str, Array]]:
+    """Return what the models do, by their role in a plot."""
+    models = [("simulated", simulated)]
+    return models if extended is None else [*models, ("extended", extended)]
 
 
 def _around(span: tuple[float, float], width: float) -> tuple[float, float]:

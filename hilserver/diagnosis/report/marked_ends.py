@@ -3,6 +3,7 @@
 import numpy as np
 
 from hilserver.diagnosis.findings.explain import number
+from hilserver.diagnosis.report.figures import by_role
 from hilserver.diagnosis.report.svg import (
     MARGIN_BOTTOM,
     MARGIN_LEFT,
@@ -22,10 +23,7 @@ def marked_ends(ends: MarkedEnds) -> Figure | None:
     """Draw where the runs of both models end, to scale; None without any."""
     if not len(ends.simulated):
         return None
-    models = [("simulated", ends.simulated)]
-    if ends.extended is not None:
-        models.append(("extended", ends.extended))
-
+    models = by_role(ends.simulated, ends.extended)
     far = max(float(abs(places).max()) for _, places in models)
     span = span_of(np.array([-far, far]), margin=0.1)
     width, height = SIDE + MARGIN_LEFT + MARGIN_RIGHT, SIDE + MARGIN_TOP + MARGIN_BOTTOM

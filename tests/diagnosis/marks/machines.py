@@ -82,6 +82,7 @@ def squares(
         ends = place[[0, -1]] * np.exp(1j * direction)
         ends += rng.normal(0.0, tape.sd_m, 2) + 1j * rng.normal(0.0, tape.sd_m, 2)
         headings = yaw[[0, -1]] + direction + rng.normal(0.0, tape.yaw_sd_rad, 2)
+        headings = np.angle(np.exp(1j * headings))  # nobody counts the turns
         marked = (tape.start_yaw, tape.end_yaw)
         times = (t_s[0], t_s[-1] - 0.01)
         for when, point, heading, known in zip(

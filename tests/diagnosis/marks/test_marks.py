@@ -55,6 +55,22 @@ def test_a_sound_robot_gives_no_finding(tmp_path, seed):
     assert "wheel_radius_difference" in {d.cause for d in found.smallest_detectable}
 
 
+@pytest.mark.parametrize(("difference", "turns"), [(0.02, 0.0), (0.01, -0.03)])
+def test_squares_that_wrong_wheels_bend_by_half_their_side(tmp_path, difference, turns):
+    robot = Machine.unequal(difference, track=1.0 / (1.0 + turns), slip_m=1e-5)
+    log, text = squares(robot, TAPE, 1, RUNS, side_m=2.0)
+    path = tmp_path / "marks.yaml"
+    path.write_text(text)
+    found = judge(with_marks(log, path), RobotParameters(), jobs=1).findings
+    sizes = {"wheel_radius_difference": difference, "rotation_gain": turns}
+    values = {n: p for one in found.findings for n, p in one.parameters.items()}
+    for cause, size in sizes.items():
+        if size:
+            low, high = values[cause].ci95
+            assert low < size < high, values
+    assert found.verdict is Overall.FINDINGS
+
+
 @pytest.mark.parametrize("size", [0.05, 0.3, 0.6])
 def test_a_robot_far_from_its_configuration_is_never_sound(tmp_path, size):
     found = diagnosed(tmp_path, left_radius=1.0 - size / 2, right_radius=1.0 + size / 2)
@@ -79,6 +95,19 @@ def test_a_wrong_mark_is_one_sentence_with_its_line(tmp_path, marks, says):
     path.write_text(f"marks:\n  - {marks}\n")
     with pytest.raises(LogError, match=f"marks.yaml:2: .*{says}"):
         with_marks(squares(Machine(), TAPE, 1, RUNS)[0], path)
+
+
+def test_a_mark_until_the_next_row_would_have_come_is_of_its_run(tmp_path):
+    log, _ = squares(Machine(), TAPE, 1, RUNS)
+    last_s = log.spans[1].end_s
+    file = tmp_path / "marks.yaml"
+    for t_s, is_taken in ((last_s + 0.02, True), (last_s + 0.2, False)):
+        file.write_text(f"marks: [{{t_s: {t_s}, x_m: 0, y_m: 0, sd_m: 0.01}}]\n")
+        if is_taken:
+            assert [placed.span for placed in with_marks(log, file).marks] == [1]
+            continue
+        with pytest.raises(LogError, match="is in no run"):
+            with_marks(log, file)
 
 
 def test_a_segment_is_that_of_the_log_also_where_a_pause_cuts_it(tmp_path):

@@ -2,6 +2,7 @@
 
 import pytest
 
+from hilserver.diagnosis.marks.judging import TOO_FEW
 from hilserver.diagnosis.report import render
 from hilserver.diagnosis.report.summary import summary
 from hilserver.diagnosis.report.words import headline, steps
@@ -106,3 +107,9 @@ def test_what_only_acts_like_a_cause_is_said_so():
     assert "what is behind it, these data do not tell" in headline(found)
     (step,) = steps(found)
     assert "no change" in step.text
+
+
+def test_what_too_few_marks_leave_open_is_not_said_to_match():
+    few = (NotJudged(cause="wheel_radius", reason=TOO_FEW),)
+    text = said(not_judged=few, verdict="nothing_found")
+    assert text.startswith("In what could be judged (no marks of enough runs)")
