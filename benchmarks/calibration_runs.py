@@ -5,6 +5,7 @@ calibration of wheeled mobile robots, Journal of Intelligent and Robotic Systems
 """
 
 import csv
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,7 @@ import numpy as np
 from hilserver.arrays import Array
 from hilserver.errors import FailedError
 
-FOLDS: Final = 2
+FEWEST_RUNS: Final = 4  # of a set that is learned from: two in each direction
 FASTEST_HZ: Final = 25.0
 """Runs are diagnosed at this rate or lower: their wheels' ticks are added up."""
 
@@ -49,8 +50,6 @@ class Run:
     ----------
     data_set : str
         What it was recorded with, as ``square/230620202042``.
-    fold : int
-        Half of the runs that it belongs to: every second one of each set and direction.
     side_m : float
         Of the square that was driven, or NaN.
     clockwise : bool
@@ -63,7 +62,6 @@ class Run:
     """
 
     data_set: str
-    fold: int
     side_m: float
     clockwise: bool
     t_s: Array
@@ -74,10 +72,10 @@ class Run:
 def read_runs(folder: Path, machine: Machine) -> list[Run]:
     """Return all runs of one robot; FailedError if a file is not as the authors describe it."""
     files = sorted((folder / "data" / machine.name).glob("*/*/*_metadata.csv"))
-    return [run for at, file in enumerate(files) for run in _of_data_set(file, at)]
+    return [run for file in files for run in _of_data_set(file)]
 
 
-def _of_data_set(file: Path, at: int) -> list[Run]:
+def _of_data_set(file: Path) -> list[Run]:
     try:
         with file.open(encoding="utf-8-sig") as opened:
             said = {row[0].strip(): row[1:] for row in csv.reader(opened) if row}
@@ -86,16 +84,13 @@ def _of_data_set(file: Path, at: int) -> list[Run]:
         half = int(said["N"][0]) // 2
         runs = []
         for number in range(1, int(said["N"][0]) + 1):
-            clockwise = number <= half
-            turn = number if clockwise else number - half
             named = file.name.replace("_metadata", f"_run-{number:02d}")
             table = np.loadtxt(file.with_name(named), delimiter=",", ndmin=2)
             runs.append(
                 Run(
                     f"{file.parent.parent.name}/{file.parent.name}",
-                    (at + turn) % FOLDS,
                     side_m,
-                    clockwise,
+                    number <= half,
                     table[:, 0],
                     table[:, 1:4],
                     table[:, 4:] * (2.0 * np.pi / per_turn),
@@ -110,12 +105,14 @@ def _of_data_set(file: Path, at: int) -> list[Run]:
     return runs
 
 
-def of_fold(runs: Iterable[Run], fold: int) -> tuple[list[Run], list[Run]]:
-    """Return the runs that are learned from, and those that are left out."""
-    each: tuple[list[Run], list[Run]] = ([], [])
-    for run in runs:
-        each[run.fold == fold].append(run)
-    return each
+def sets_of_squares(runs: Iterable[Run]) -> list[str]:
+    """Return the sets of squares that are large enough to learn from."""
+    counts = Counter(run.data_set for run in runs)
+    return [
+        name
+        for name, count in counts.items()
+        if name.startswith("square/") and count >= FEWEST_RUNS
+    ]
 
 
 def write_table(file: Path, runs: Sequence[Run], machine: Machine) -> None:

@@ -1,9 +1,9 @@
-"""Public recordings: the patch of the diagnosis beside published methods, on the same folds.
+"""Public recordings: the patch of the diagnosis beside published methods, from the same runs.
 
-Machines that nobody here has seen are `diagnose_unseen`; this is the set of calibration runs.
-Each method, and the diagnosis, learns from every second run and is judged by the others, and the
-other way round. The metric is that of the authors of the data: the distance and the heading by
-which the computed pose is off at the end of a run, from its measured first one.
+Machines that nobody here has seen are `diagnose_unseen`; this is the set of calibration runs. Each
+method, and the diagnosis, learns from one set of squares and is judged by all runs of all other
+sets: squares, circles and free drives. The metric is that of the authors of the data: the distance
+and the heading by which the computed pose is off at the end of a run, from its measured first one.
 """
 
 import sys
@@ -19,11 +19,10 @@ import numpy as np
 
 from benchmarks.calibration_methods import METHODS, missed
 from benchmarks.calibration_runs import (
-    FOLDS,
     MACHINES,
     Machine,
-    of_fold,
     read_runs,
+    sets_of_squares,
     write_table,
 )
 from benchmarks.diagnose_results import Results, sources
@@ -66,17 +65,17 @@ by itself.
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """One fold of one robot."""
+    """One robot, and the set of squares that is learned from."""
 
     folder: Path
     machine: Machine
-    fold: int
+    data_set: str
     jobs: int
 
     @property
     def key(self) -> str:
         """Its name among all results."""
-        return f"{self.machine.name}/{self.fold}"
+        return f"{self.machine.name}/{self.data_set}"
 
 
 def measure(folder: Path, resume: Path, jobs: int) -> list[Result]:
@@ -108,34 +107,47 @@ def measure(folder: Path, resume: Path, jobs: int) -> list[Result]:
 
 
 def _calibration(folder: Path, resume: Path, jobs: int) -> list[Result]:
-    """Diagnose both folds of every robot of the calibration runs."""
-    robots = [m for m in MACHINES if (folder / "data" / m.name).is_dir()]
+    """Diagnose every set of squares of each robot."""
     results = Results(resume, "public", sources(OWN))
-    folds = [Task(folder, m, fold, jobs) for m in robots for fold in range(FOLDS)]
-    todo = [one for one in folds if one.key not in results.records]
-    with closing(in_processes(work, todo, 1)) as records:
-        for done, (_, record) in enumerate(records, 1):
-            results.add(record)
-            print(f"{record['key']}: {done} of {len(todo)}", file=sys.stderr)
-
-    ends = {m.name: _ends(results.records[f"{m.name}/{k}"] for k in range(FOLDS))
-            for m in robots}  # fmt: skip
-    for name, of_method in ends.items():
-        print("\n".join(_table(name, of_method)))
-    for one in folds:
-        patch = results.records[one.key]["patch"]
-        said = ", ".join(f"{term} {value:+.4g}" for term, value in patch.items())
-        print(f"{one.key}: {said or 'no patch'}")
-    return [
-        row for name, of_method in ends.items() for row in _figures(name, of_method)
+    tasks = [
+        Task(folder, machine, name, jobs)
+        for machine in MACHINES
+        for name in sets_of_squares(read_runs(folder, machine))
     ]
+    todo = [task for task in tasks if task.key not in results.records]
+    try:
+        with closing(in_processes(work, todo, 1)) as records:
+            for done, (_, record) in enumerate(records, 1):
+                results.add(record)
+                print(f"{record['key']}: {done} of {len(todo)}", file=sys.stderr)
+    finally:
+        found = [results.records[t.key] for t in tasks if t.key in results.records]
+        figures = list(_report(found))
+    return figures
+
+
+def _report(records: Sequence[Mapping[str, Any]]) -> Iterator[Result]:
+    """Print the table of each robot and what was found, and yield the figures."""
+    for machine in MACHINES:
+        mine = [r for r in records if r["key"].startswith(f"{machine.name}/")]
+        if not mine:
+            continue
+        ends = _ends(mine)
+        print("\n".join(_table(machine.name, ends, len(mine))))
+        for record in mine:
+            patch = record["patch"].items()
+            said = ", ".join(f"{term} {value:+.4g}" for term, value in patch)
+            print(f"{record['key']}: {said or 'no patch'}")
+        yield from _figures(machine.name, ends)
 
 
 @one_blas_thread
 def work(one: Task) -> dict[str, Any]:
-    """Return the record of a fold: the patch, and by method the errors at the end of its runs."""
+    """Return the record of a set: the patch, and by method the errors at the end of other runs."""
     begin = time.perf_counter()
-    learned, left_out = of_fold(read_runs(one.folder, one.machine), one.fold)
+    runs = read_runs(one.folder, one.machine)
+    learned = [run for run in runs if run.data_set == one.data_set]
+    left_out = [run for run in runs if run.data_set != one.data_set]
     ends = {}
     for name, method in METHODS[one.machine.name].items():
         matrix = method(one.machine, learned)
@@ -147,9 +159,9 @@ def work(one: Task) -> dict[str, Any]:
 
     mapping, logs = str(MAPPINGS / f"{one.machine.mapping}.yaml"), []
     with tempfile.TemporaryDirectory() as place:
-        for name, runs in (("learned", learned), ("left_out", left_out)):
+        for name, some in (("learned", learned), ("left_out", left_out)):
             table = Path(place) / f"{name}.csv"
-            write_table(table, runs, one.machine)
+            write_table(table, some, one.machine)
             logs.append(read_measured([table], mapping))
     found = diagnose(logs[0], assemble(None), jobs=one.jobs)
     patch = {term.name: term.parameter.value for term in found.evidence.extension}
@@ -180,7 +192,7 @@ def ends_of(log: MeasuredLog, patch: Mapping[str, float]) -> tuple[Array, Array]
 
 
 def _ends(records: Iterable[Mapping[str, Any]]) -> dict[str, Array]:
-    """Return the errors of all runs by method, shape (2, runs) [m, deg]."""
+    """Return the errors at all ends by method, shape (2, runs) [m, deg]."""
     parts: dict[str, list[Array]] = {}
     for record in records:
         for name, ends in record["ends"].items():
@@ -190,12 +202,12 @@ def _ends(records: Iterable[Mapping[str, Any]]) -> dict[str, Array]:
     return {name: np.concatenate(each, axis=1) for name, each in parts.items()}
 
 
-def _table(name: str, ends: Mapping[str, Array]) -> Iterator[str]:
+def _table(name: str, ends: Mapping[str, Array], sets: int) -> Iterator[str]:
     """Yield the lines of one robot's table."""
     runs = next(iter(ends.values())).shape[1]
     yield (
-        f"| {name}: {runs} runs, each left out | mean, m | median, m | worst, m | mean, deg"
-        " | worst, deg | published, m | published, deg |"
+        f"| {name}: {sets} sets learned, {runs} ends of other runs | mean, m | median, m"
+        " | worst, m | mean, deg | worst, deg | published, m | published, deg |"
     )
     yield "|---" * 8 + "|"
     for method, (away_m, turned_deg) in ends.items():

@@ -13,6 +13,7 @@ from benchmarks.calibration_runs import (
     ROLLERS,
     Run,
     read_runs,
+    sets_of_squares,
     write_table,
 )
 from benchmarks.diagnose_public import MAPPINGS, PATCH, Task, ends_of, work
@@ -65,7 +66,7 @@ def made(machine, folder, name, count=4, seed=0):
         ticks = np.diff(total, axis=0, prepend=0.0)
         t_s = ROW_S * np.arange(len(ticks))
         start = np.zeros((len(t_s), 3))
-        run = Run("", 0, 1.0, True, t_s, start, ticks * (2.0 * np.pi / TICKS))
+        run = Run("", 1.0, True, t_s, start, ticks * (2.0 * np.pi / TICKS))
         seen = odometry(matrix, run) + rng.normal(0.0, 2e-4, start.shape)
         table = np.column_stack([t_s, seen, ticks])
         np.savetxt(place / f"{name}_run-{number:02d}.csv", table, delimiter=",")
@@ -84,7 +85,7 @@ def clone(tmp_path_factory):
 def test_every_method_makes_the_end_right(clone, machine):
     runs = read_runs(clone, machine)
     assert [run.clockwise for run in runs] == 2 * (4 * [True] + 4 * [False])
-    assert sorted(run.fold for run in runs) == 8 * [0] + 8 * [1]
+    assert sets_of_squares(runs) == ["square/a", "square/b"]
     ends = {}
     for name, method in METHODS[machine.name].items():
         matrix = method(machine, runs)
@@ -118,14 +119,14 @@ def test_the_plant_without_a_patch_is_the_configured_odometry(clone, machine, tm
 
 
 def test_the_patch_makes_the_end_of_left_out_runs_right(clone):
-    record = work(Task(clone, DIFFERENTIAL, 0, 1))
+    record = work(Task(clone, DIFFERENTIAL, "square/a", 1))
     ends = {name: np.mean(values, axis=1) for name, values in record["ends"].items()}
     assert (ends[PATCH] < 0.35 * ends["as configured"]).all()
     assert record["patch"]
 
 
 def test_a_table_from_what_was_measured(clone, tmp_path, monkeypatch, capsys):
-    """Folds that a file of results holds are not diagnosed again."""
+    """Sets that a file of results holds are not diagnosed again."""
     args = arguments(tmp_path, ("--public", str(clone.parent)))
     asked = []
 
@@ -138,14 +139,14 @@ def test_a_table_from_what_was_measured(clone, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(diagnose_public, "work", done)
     figures = {row.name: row for row in diagnose.run(args)}
     diagnose.run(args)
-    assert asked == ["diff/0", "diff/1", "omni4/0", "omni4/1"]
+    assert asked == [f"{m.name}/square/{x}" for m in MACHINES for x in "ab"]
     assert figures["diff: mean distance at the end"].ratio == pytest.approx(2.0)
     lines = capsys.readouterr().out.splitlines()
     assert (
         "| OptiOdom | 0.0150 | 0.0150 | 0.0200 | 8.59 | 11.46 | 0.0539 | 3.34 |"
         in lines
     )
-    assert "diff/0: rotation_gain -0.01" in lines
+    assert "diff/square/a: rotation_gain -0.01" in lines
     assert all(json.loads(line) for line in args.resume.read_text().splitlines())
 
 
