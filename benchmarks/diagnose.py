@@ -79,6 +79,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="instead of hidden causes: the gain on these recordings, beside simple rivals",
     )  # fmt: skip
     parser.add_argument(
+        "--public", type=Path, metavar="FOLDER",
+        help="instead: public recordings, from a folder of clones, beside published methods",
+    )  # fmt: skip
+    parser.add_argument(
         "--time", action="store_true",
         help="instead: the CPU time of diagnoses of 10 min, or --duration, with 0, 1 and 6 effects",
     )  # fmt: skip
@@ -107,6 +111,10 @@ def run(args: argparse.Namespace) -> list[Result]:
     if args.seeds < 1 or args.jobs < 1:
         msg = "--seeds and --jobs must be at least 1."
         raise FailedError(msg)
+    if args.public:
+        from benchmarks.diagnose_public import measure as publicly  # noqa: PLC0415 (slow to import)
+
+        return publicly(args.public, args.resume, args.jobs)
     if args.recordings and not args.drawn:
         from benchmarks.diagnose_recordings import measure  # noqa: PLC0415 (slow to import)
 
