@@ -1,7 +1,7 @@
 """From fitted models to findings: parameters with intervals, groups, sentences."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -36,15 +36,13 @@ from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.schema.evidence import FittedTerm
 from hilserver.diagnosis.schema.findings import Finding, Gain, Parameter, Verdict
 from hilserver.diagnosis.thresholds import (
+    COMB_EXACT,
     FEWEST_EVENTS,
     LEAST_OUTLIERS,
     NEGLIGIBLE,
 )
 from hilserver.measured.channels import POSITION, SETPOINTS
 from hilserver.measured.names import signal_unit
-
-# half the interval of a step found in the spectrum, by the step
-COARSE_SHARE: Final = 0.002
 
 
 def parameters(problem: Problem, point: Point) -> dict[int, dict[str, Parameter]]:
@@ -248,7 +246,7 @@ def lost(late: int, judged: int) -> Finding:
 def coarse(step_rpm: float) -> Finding:
     """Return the finding of wheel speeds that come in steps."""
     return _named(
-        SPEED_STEP, {SPEED_STEP: _within(step_rpm, COARSE_SHARE * step_rpm, "rpm")}
+        SPEED_STEP, {SPEED_STEP: _within(step_rpm, COMB_EXACT * step_rpm, "rpm")}
     )
 
 
