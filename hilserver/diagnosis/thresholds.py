@@ -165,6 +165,8 @@ RIVAL_CLEAR_Z: Final = 2.33
 # rotation gain; smaller changes are dimensions rather than tyres
 SCRUBBING_MUCH: Final = -0.15
 SCRUBBING_LATE_S: Final = 0.03  # s: longest latency that tyres make
+# s: half the shortest one, of tyres that slide at 0.1 m/s with a coefficient of friction of 0.7
+SCRUBBING_SOON_S: Final = 0.0005
 # s: a step counts as late from here, if known to a quarter of it
 LOST_LATE_S: Final = 0.008
 # s: from here, a step that waited for the next message has long arrived
