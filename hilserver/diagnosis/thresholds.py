@@ -47,6 +47,8 @@ UNITY: Final = 4.0
 COMB_FEWEST: Final = 500  # samples; fewer have no spectrum
 COMB_CLEAR: Final = 0.05  # smallest coefficient of a rounded quantity
 COMB_TIMES: Final = 5.0  # by which it exceeds the coefficient of a smooth quantity
+# share of a step to which its line is known, in short logs with noise, too
+COMB_EXACT: Final = 0.002
 
 # Data checks: values copied, held, interpolated, repeated, missing, limited
 # rpm: smaller changes of a set-point are not used
@@ -55,6 +57,11 @@ HELD_SLOWEST_HZ: Final = 0.9  # Hz: a GPS has one sample per second; slower mean
 HELD_QUANTA: Final = 4.0  # steps of the resolution; a change of more is real
 # repeated rows; a source that repeats more has a slower clock
 SLOWER_CLOCK: Final = 0.4
+# share of a period by which runs may miss whole ones, besides half a row
+HELD_OFF_CLOCK: Final = 0.05
+HELD_LONGEST_ROW: Final = 0.4  # of a period; longer rows do not show where one ends
+# in a run; over more, the error of the period adds up to a good part of one
+HELD_MOST_PERIODS: Final = 6.5
 HELD_SHARE: Final = 0.8  # share of stretches that last two rows or more
 HELD_SPREAD: Final = 3.0  # longest usual stretch over the shortest in even sampling
 SHORTEST_BURST: Final = 4  # rows of one value while the others moved
@@ -66,6 +73,8 @@ MISSING_SLOWEST_S: Final = 0.22
 SPARSE_BETTER: Final = 0.7
 # share of the set-points that last as long as the usual one
 SPARSE_USUAL_SHARE: Final = 0.2
+# that a set-point lasts; longer ones are pauses, which say nothing about the period
+SPARSE_MOST_PERIODS: Final = 12.0
 LIMITED_BEYOND: Final = 0.05  # share of a limit by which the turn exceeds it on average
 
 # Data checks: wheels mapped as set-points and as speeds from one topic
@@ -141,6 +150,8 @@ SELECTION_PLAUSIBLE_SD: Final = 4.0
 PROMISING: Final = 0.5
 # variance of whitened residuals that is the noise model's own error
 NOISE_ERROR: Final = 1.1
+# last stride of the search for a period, as a share of it: over five minutes it adds up to 6 ms
+CLOCK_STRIDE: Final = 2e-5
 # times the loss of an ordinary block: where a robot nearly missed an edge, none counts for more
 FAR_OFF: Final = 3.0
 # standard errors over the blocks beyond which a held-out error has clearly grown (specification)
@@ -154,8 +165,14 @@ RIVAL_CLEAR_Z: Final = 2.33
 # rotation gain; smaller changes are dimensions rather than tyres
 SCRUBBING_MUCH: Final = -0.15
 SCRUBBING_LATE_S: Final = 0.03  # s: longest latency that tyres make
+# s: half the shortest one, of tyres that slide at 0.1 m/s with a coefficient of friction of 0.7
+SCRUBBING_SOON_S: Final = 0.0005
 # s: a step counts as late from here, if known to a quarter of it
 LOST_LATE_S: Final = 0.008
+# s: from here, a step that waited for the next message has long arrived
+LOST_LONG_S: Final = 0.1
+# s after a step that show its response: twice what the loop needs (70 ms)
+LOST_SEEN_S: Final = 0.15
 
 # What causes leave: unknown structure, anchors, changes along the log
 REST_LEVEL: Final = 0.001  # family-wise error of each test of what causes leave
@@ -163,6 +180,9 @@ REST_LEVEL: Final = 0.001  # family-wise error of each test of what causes leave
 REST_LEAST_GAIN: Final = 40.0
 # deviance that a change or an anchor in a cause's place must save
 INSTEAD_LEAST_GAIN: Final = 20.0
+# of the width of the driven area, by which ranging anchors are assumed to stand outside of it:
+# along walls that a robot keeps away from
+ANCHORS_OUTSIDE: Final = 0.1
 LEAST_USEFUL: Final = 0.001  # share of the samples' variance; less is useless
 DOMINANCE: Final = 4.0  # times what structure explains; less leaves a cause in doubt
 
@@ -179,6 +199,8 @@ STRETCHES: Final = 8
 
 # Drift and comparison
 COMPARE_LEVEL: Final = 0.01  # family-wise error (specification)
+# whitened size of a cause's least effect; a group of logs with less does not show the cause
+UNSEEN_SD: Final = 1e-3
 # share of a difference by which it may exceed what is possible
 COMPARE_INEXACT: Final = 0.2
 
@@ -186,6 +208,8 @@ COMPARE_INEXACT: Final = 0.2
 LEAST_OUTLIERS: Final = 0.004  # share of the positions; fewer have no name
 
 # Intervals and sizes
+# |correlation| of two estimates: from a half on, one cause takes over a good part of the other
+PARTNER_CORRELATION: Final = 0.5
 # deviations above the critical value: about 83 % exceed it
 DETECTABLE_POWER_SD: Final = 0.95
 # further deviations that held-out blocks require (`bench diagnose --class size`)

@@ -35,6 +35,9 @@ from hilserver.diagnosis.thresholds import (
     FEWEST_EVENTS,
     FEWEST_SAMPLES,
     HALF,
+    HELD_LONGEST_ROW,
+    HELD_MOST_PERIODS,
+    HELD_OFF_CLOCK,
     HELD_QUANTA,
     HELD_SHARE,
     HELD_SLOWEST_HZ,
@@ -51,9 +54,6 @@ from hilserver.plant.parameters import RobotParameters
 
 AXES: Final = {NAV_X: NAV_Y, NAV_Y: NAV_X}
 TURNS: Final = (YAW, GYRO)
-OFF_THE_CLOCK, MOST_OF_A_PERIOD = 0.05, 0.4
-"""Share of a period by which runs may miss whole ones, besides half a row; longest row."""
-MOST_PERIODS: Final = 6.5  # for longer runs the period is not known well enough
 
 
 def find_stuck(
@@ -215,9 +215,9 @@ def _on_a_clock(periods: Array, row: float) -> bool:
     row : float
         Time between rows, in periods.
     """
-    known = periods[periods < MOST_PERIODS]
-    on = np.abs(known - np.rint(known)) < 0.5 * row + OFF_THE_CLOCK
-    return row < MOST_OF_A_PERIOD and bool(np.mean(on) >= HELD_SHARE)
+    known = periods[periods < HELD_MOST_PERIODS]
+    on = np.abs(known - np.rint(known)) < 0.5 * row + HELD_OFF_CLOCK
+    return row < HELD_LONGEST_ROW and bool(np.mean(on) >= HELD_SHARE)
 
 
 def _follow(channel: Channel, first: Indices, changes: Array) -> bool:

@@ -8,8 +8,6 @@ average half a period behind the straight lines between them. One that is closer
 received more set-points than the log holds.
 """
 
-from typing import Final
-
 import numpy as np
 
 from hilserver.arrays import Array, Indices, Mask
@@ -29,17 +27,15 @@ from hilserver.diagnosis.thresholds import (
     FEWEST_PIECES,
     IRREGULAR,
     NEARLY_ALL,
+    NEGLIGIBLE,
     SAME,
     SPARSE_BETTER,
+    SPARSE_MOST_PERIODS,
     SPARSE_USUAL_SHARE,
 )
 from hilserver.measured.channels import SETPOINTS, SPEEDS, TWIST
 from hilserver.measured.data import Channel, MeasuredLog
 from hilserver.plant.parameters import RobotParameters
-
-# standard error of the rate of interpolated set-points, as a share
-KNOWN_TO: Final = 0.02 / 1.96
-LONGEST_PERIODS: Final = 12.0  # longer durations say nothing about their period
 
 
 def find_interpolated(
@@ -64,7 +60,9 @@ def interpolated(channel: Channel) -> RunFault | None:
     rows, corners = found
     rate_hz = 1.0 / (rows * row_period_s(channel))
     return RunFault(
-        subset(channel, _on_clock(channel, rows, corners)), rate_hz, KNOWN_TO * rate_hz
+        subset(channel, _on_clock(channel, rows, corners)),
+        rate_hz,
+        NEGLIGIBLE * rate_hz,
     )
 
 
@@ -155,7 +153,7 @@ def sent_rate(channel: Channel) -> tuple[float, float] | None:
         return None
     if np.mean(lasted < 0.7 * period_s) > IRREGULAR:
         return None
-    some = lasted[lasted < LONGEST_PERIODS * period_s]
+    some = lasted[lasted < SPARSE_MOST_PERIODS * period_s]
     periods = np.rint(some / float(np.median(usual)))
     period_s = float(some.sum() / periods.sum())
     sd = (

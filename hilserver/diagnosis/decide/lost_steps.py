@@ -1,7 +1,5 @@
 """Set-points that came late or never: the trace of a link that loses messages."""
 
-from typing import Final
-
 import numpy as np
 
 from hilserver.arrays import Array
@@ -11,12 +9,11 @@ from hilserver.diagnosis.thresholds import (
     HALF,
     LARGE_STEP_RPM,
     LOST_LATE_S,
+    LOST_LONG_S,
+    LOST_SEEN_S,
     NEGLIGIBLE,
 )
 from hilserver.measured.channels import SETPOINTS, SPEEDS
-
-RESPONSE_S: Final = 0.15  # within which the wheel responds to a step
-LONG_S: Final = 0.1  # by then a step that is late by one message has long arrived
 
 
 def lost_steps(problem: Problem, point: Point) -> tuple[int, int]:
@@ -54,7 +51,7 @@ def lost_steps(problem: Problem, point: Point) -> tuple[int, int]:
                 np.arange(len(shown[speed])),
                 shown[speed],
             )
-            for by_s in (0.0, row_s, row_s + 2.0 * LOST_LATE_S, row_s + LONG_S)
+            for by_s in (0.0, row_s, row_s + 2.0 * LOST_LATE_S, row_s + LOST_LONG_S)
         )
         seen = r + at_once
         r = seen - np.clip(
@@ -68,7 +65,7 @@ def lost_steps(problem: Problem, point: Point) -> tuple[int, int]:
             first, end = np.searchsorted(spans, [span, span + 1])
             for a in np.flatnonzero(np.abs(np.diff(s)) > LARGE_STEP_RPM) + 1:
                 low, high = first + np.searchsorted(
-                    t[first:end], [ts[a], ts[a] + RESPONSE_S]
+                    t[first:end], [ts[a], ts[a] + LOST_SEEN_S]
                 )
                 two = [
                     _share(r[low:high], (g - by_a_row)[low:high], noise) for g in later

@@ -17,7 +17,7 @@ from hilserver.diagnosis.decide.predicting import (
     with_nameless,
 )
 from hilserver.diagnosis.decide.promise import ModelExchange, left_out
-from hilserver.diagnosis.decide.scrubbing import bent_turn, late_turn, scrubs
+from hilserver.diagnosis.decide.scrubbing import bent_turn, late_turn, may_scrub, scrubs
 from hilserver.diagnosis.decide.selection import Selected, with_noise_anew
 from hilserver.diagnosis.decide.structure import (
     Imitation,
@@ -56,7 +56,7 @@ class JudgedStage:
     unknown: list[Unknown]
     drift: dict[str, float]
     scores: Scores
-    scrubs: bool
+    scrubs: bool  # a rotation gain may be friction across the wheels
     anchor: tuple[Anchor, float] | None = None  # an anchor that is off, and its p
     in_doubt: Anchor | None = None
     """An anchor that could replace an accepted scale of the navigation."""
@@ -119,6 +119,8 @@ def revised(p: Prepared, selected: Selected, rng: np.random.Generator) -> Judged
     if not drift:
         whole = with_nameless(p, whole, rows)
         point, effective = with_effective(p, point, whole, rng, rows)
+    rivals = [rival.fitted for found in kept.values() for rival in found]
+    scrubbed = scrubbed or may_scrub(p.library, point, rivals)
     patched = halfway(problem, point)
     whole = patched if whole is point else halfway(problem, whole)
     return JudgedStage(

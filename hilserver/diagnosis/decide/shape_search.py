@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
@@ -13,13 +12,13 @@ from hilserver.diagnosis.decide.trial import Trial, cost, possible
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.thresholds import (
+    CLOCK_STRIDE,
     FAR_OFF,
     NOISE_ERROR,
     PROMISING,
 )
 
 FIRST_STRIDE, LAST_STRIDE = 0.4, 0.004
-OF_A_CLOCK: Final = 2e-5  # the last stride of what adds up along the log
 SHIFTS_M = (0.6, 0.3, 0.15, 0.08, 0.04, 0.02)
 
 
@@ -42,7 +41,7 @@ def searched(
     least, best, theta = min(tried, key=lambda item: item[0])
     far = theta if best.is_limit else theta - best.null[0]
     stride = FIRST_STRIDE
-    last = OF_A_CLOCK if traits_of(best.cause).adds_up else LAST_STRIDE
+    last = CLOCK_STRIDE if traits_of(best.cause).adds_up else LAST_STRIDE
     while stride > last:
         for factor in (1.0 + stride, 1.0 / (1.0 + stride)):
             moved = theta + far * (factor - 1.0)

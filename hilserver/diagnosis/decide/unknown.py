@@ -15,6 +15,7 @@ from hilserver.diagnosis.regression.disturbance import Motion
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.drive_stage import DriveStage
 from hilserver.diagnosis.replay.pose_stage import PoseStage
+from hilserver.diagnosis.thresholds import ANCHORS_OUTSIDE
 from hilserver.measured.channels import DUTIES, GYRO, POSITION, SPEEDS, YAW
 from hilserver.plant.layout import WHEELS
 from hilserver.plant.units import RAD_S_PER_RPM
@@ -26,8 +27,6 @@ TURNING, DRIVING = 0.2, 0.05
 RANGING = "ranging"
 FREQUENCIES_HZ = tuple(float(f) for f in np.geomspace(0.02, 2.0, 9))
 PEAKS, FINEST_HZ = 3, 5.0
-ANCHORS_OUTSIDE = 0.1
-"""How far outside the driven area ranging anchors are assumed to stand, relative to its width."""
 
 Raw = tuple[str, tuple[str, ...], list[Array]]
 """A family with its raw columns, per unit of an arbitrary coefficient."""

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -13,9 +12,7 @@ from hilserver.diagnosis.regression.intervals import whole_covariance
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Fitted, Model
 from hilserver.diagnosis.schema.findings import Joint
-
-PARTNERS: Final = 0.5
-"""|correlation| of two estimates from which one cause can take over what the other explains."""
+from hilserver.diagnosis.thresholds import PARTNER_CORRELATION
 
 
 def is_wave(f: Fitted) -> bool:
@@ -61,7 +58,7 @@ class StageEstimate:
     def partners(self, index: int) -> frozenset[int]:
         """Return the causes that could take over part of what a cause explains."""
         sd = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
-        alike = np.abs(self.covariance / np.outer(sd, sd)) > PARTNERS
+        alike = np.abs(self.covariance / np.outer(sd, sd)) > PARTNER_CORRELATION
         owner = np.array(self.owner)
         near = owner[alike[owner == index].any(axis=0)]
         return frozenset(near.tolist()) - {index}

@@ -22,6 +22,10 @@ QUANTITIES: Final[Mapping[str, tuple[str, str]]] = {
 }
 """Keys of a gain: their names in words, and their unit."""
 
+COUNTS: Final = (
+    "No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine"
+)  # fmt: skip
+
 NO_EDGE_M: Final = 1e3
 """Edges of a part of the floor from here on are those of no floor."""
 
@@ -64,7 +68,9 @@ def power_of_ten(exponent: int) -> str:
     return "10" + str(exponent).translate(_RAISED)
 
 
-def explain(causes: Iterable[str], parameters: Mapping[str, Parameter]) -> str:
+def explain(
+    causes: Iterable[str], parameters: Mapping[str, Parameter], acting: int = 1
+) -> str:
     """Return one sentence that says what these causes are; for several, what each would be.
 
     Parameters
@@ -73,12 +79,16 @@ def explain(causes: Iterable[str], parameters: Mapping[str, Parameter]) -> str:
         Names of the vocabulary.
     parameters : mapping of str to Parameter
         By ``cause``, ``cause.part`` or ``cause.signal``; those of other causes are ignored.
+    acting : int
+        How many of several causes act.
     """
     said = [_say(name, parameters) for name in causes]
     if len(said) == 1:
         return said[0]
     inner = "; or: ".join(_lower(text.rstrip(".")) for text in said)
-    return f"One of these, which the data cannot separate: {inner}."
+    sizes = "" if acting == 1 else "; how large one is depends on the others"
+    many = COUNTS[acting]
+    return f"{many} of these, which the data cannot separate{sizes}: {inner}."
 
 
 def explain_finding(finding: Finding) -> str:

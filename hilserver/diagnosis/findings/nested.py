@@ -17,7 +17,7 @@ from hilserver.diagnosis.decide.promise import falls
 from hilserver.diagnosis.decide.revision import JudgedStage, revised
 from hilserver.diagnosis.decide.selection import select
 from hilserver.diagnosis.findings.estimate import estimate_of
-from hilserver.diagnosis.findings.outcome import named_findings
+from hilserver.diagnosis.findings.naming import named_findings
 from hilserver.diagnosis.findings.worth import (
     Explained,
     MemberStage,

@@ -1,12 +1,12 @@
 """From fitted models to findings: parameters with intervals, groups, sentences."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from hilserver.arrays import Array
-from hilserver.diagnosis.catalogue.traits import POSITION_FIELD, traits_of
+from hilserver.diagnosis.catalogue.traits import POSITION_FIELD
 from hilserver.diagnosis.catalogue.vocabulary import (
     CAUSES,
     OF_THE_LOG,
@@ -18,13 +18,11 @@ from hilserver.diagnosis.catalogue.vocabulary import (
 )
 from hilserver.diagnosis.decide.anchors import Anchor
 from hilserver.diagnosis.decide.lost_steps import lost_steps
-from hilserver.diagnosis.decide.predicting import halfway
 from hilserver.diagnosis.decide.revision import JudgedStage
-from hilserver.diagnosis.decide.scrubbing import as_friction
 from hilserver.diagnosis.decide.structure import Unknown
-from hilserver.diagnosis.decide.trial import implausible
 from hilserver.diagnosis.findings.estimate import is_wave
 from hilserver.diagnosis.findings.explain import (
+    explain,
     explain_finding,
     number,
     separating_experiment,
@@ -36,15 +34,13 @@ from hilserver.diagnosis.replay.model import Fitted
 from hilserver.diagnosis.schema.evidence import FittedTerm
 from hilserver.diagnosis.schema.findings import Finding, Gain, Parameter, Verdict
 from hilserver.diagnosis.thresholds import (
+    COMB_EXACT,
     FEWEST_EVENTS,
     LEAST_OUTLIERS,
     NEGLIGIBLE,
 )
 from hilserver.measured.channels import POSITION, SETPOINTS
 from hilserver.measured.names import signal_unit
-
-# half the interval of a step found in the spectrum, by the step
-COARSE_SHARE: Final = 0.002
 
 
 def parameters(problem: Problem, point: Point) -> dict[int, dict[str, Parameter]]:
@@ -91,35 +87,6 @@ def _wave(f: Fitted, shown: Array) -> dict[str, Parameter]:
     }
 
 
-def named_findings(j: JudgedStage) -> tuple[Finding, ...]:
-    """Return one finding for every item of a patch, in its group; plausible ones come first."""
-    problem, point = j.prepared.problem, j.point
-    if not point.model.fitted:
-        return ()
-    own = parameters(problem, point)
-    found = []
-    for i, f in enumerate(point.model.fitted):
-        cause = f.candidate.cause
-        values = dict(own[i])
-        if cause in j.effective:
-            found.append(effective(cause, values, chance(j, cause)))
-            continue
-        causes, behind = [cause], {cause} if implausible(f) else set()
-        for rival in j.ties.get(cause, ()):
-            if rival.candidate.cause in causes:
-                continue
-            causes.append(rival.candidate.cause)
-            behind |= {rival.candidate.cause} if implausible(rival.fitted) else set()
-            index = rival.point.model.fitted.index(rival.fitted)
-            values |= parameters(problem, halfway(problem, rival.point))[index]
-        twins = _twins(j, f, own[i].get(cause))
-        causes += [cause_of(name).name for name in twins]
-        causes.sort(key=behind.__contains__)
-        values |= twins
-        found.append(fitted_finding(causes, values, chance(j, cause), cause in j.drift))
-    return tuple(found)
-
-
 def chance(j: JudgedStage, cause: str) -> float:
     """Return the p of an accepted cause; 1 % for one that replaced another."""
     return j.drift.get(cause, j.selected.p.get(cause, 0.01))
@@ -145,36 +112,31 @@ def other_findings(j: JudgedStage) -> list[Finding]:
     return found
 
 
-def _twins(j: JudgedStage, f: Fitted, own: Parameter | None) -> dict[str, Parameter]:
-    """Return twins of a cause that the data cannot exclude and that have no candidate."""
-    traits, robot = traits_of(f.candidate.cause), j.prepared.problem.stage.robot
-    found: dict[str, Parameter] = {}
-    if own is None:
-        return found
-    if j.scrubs and traits.scrubs_as:
-        ratio = as_friction(robot, f, own)
-        if ratio is not None:
-            found[traits.scrubs_as] = ratio
-    if traits.mirrored_by and not robot.is_mecanum:
-        low, high = own.ci95 or (own.value, own.value)
-        mirrored = Parameter(value=-own.value, ci95=(-high, -low), unit=own.unit)
-        found[traits.mirrored_by] = mirrored
-    if j.in_doubt is not None and traits.field:
-        found |= _field(j.in_doubt)
-    return found
-
-
 def fitted_finding(
-    causes: Sequence[str], values: dict[str, Parameter], p: float, drifts: bool
+    causes: Sequence[str],
+    values: dict[str, Parameter],
+    p: float,
+    drifts: bool,
+    acting: int = 1,
 ) -> Finding:
-    """Return the finding of a fitted cause, listed first, and of those that could replace it."""
+    """Return the finding of a fitted cause, listed first, and of those that could replace it.
+
+    Parameters
+    ----------
+    acting : int
+        How many of the causes act.
+    """
     block, one = CAUSES[causes[0]].block, len(causes) == 1
     alone = Verdict.DATA_FAULT if block == "data" else Verdict.NAMED
     verdict = Verdict.DRIFT if drifts else alone if one else Verdict.NAMED_GROUP
     experiment = None if one else separating_experiment(causes)
-    return _finding(
+    finding = _finding(
         verdict, causes, block, p, parameters=values, separating_experiment=experiment
     )
+    if acting == 1 or drifts:
+        return finding
+    text = explain(finding.causes, finding.parameters, acting)
+    return finding.model_copy(update={"explanation": text})
 
 
 def effective(cause: str, values: dict[str, Parameter], p: float) -> Finding:
@@ -248,14 +210,14 @@ def lost(late: int, judged: int) -> Finding:
 def coarse(step_rpm: float) -> Finding:
     """Return the finding of wheel speeds that come in steps."""
     return _named(
-        SPEED_STEP, {SPEED_STEP: _within(step_rpm, COARSE_SHARE * step_rpm, "rpm")}
+        SPEED_STEP, {SPEED_STEP: _within(step_rpm, COMB_EXACT * step_rpm, "rpm")}
     )
 
 
 def misplaced_anchor(anchor: Anchor, p: float) -> Finding:
     """Return the finding of a ranging anchor that is not where it is configured."""
     error_m, side = anchor.error_m, "long" if anchor.error_m > 0.0 else "short"
-    finding = _named(POSITION_FIELD, _field(anchor), p)
+    finding = _named(POSITION_FIELD, field_of(anchor), p)
     text = (
         f"{finding.explanation.rstrip('.')}, as if the ranging anchor on the side of"
         f" {anchor.side} measured about {number(abs(error_m), 'm', digits=2)} too {side}."
@@ -263,7 +225,7 @@ def misplaced_anchor(anchor: Anchor, p: float) -> Finding:
     return finding.model_copy(update={"explanation": text})
 
 
-def _field(anchor: Anchor) -> dict[str, Parameter]:
+def field_of(anchor: Anchor) -> dict[str, Parameter]:
     """Return how far the position is off at the place where an anchor moves it most."""
     size_m, half_m = (
         anchor.largest * abs(anchor.error_m),

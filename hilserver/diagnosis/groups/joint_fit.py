@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
@@ -22,10 +21,7 @@ from hilserver.diagnosis.regression.intervals import whole_covariance
 from hilserver.diagnosis.regression.linear import sandwich
 from hilserver.diagnosis.regression.problem import Point, Problem
 from hilserver.diagnosis.replay.model import Model
-from hilserver.diagnosis.thresholds import COMPARE_LEVEL
-
-# whitened size of a cause's least effect below which a log does not show it
-SILENT: Final = 1e-3
+from hilserver.diagnosis.thresholds import COMPARE_LEVEL, UNSEEN_SD
 
 
 @dataclass(frozen=True)
@@ -129,7 +125,7 @@ def _known(problem: Problem, point: Point) -> GroupFit:
     assert columns is not None
     least = np.array([max(f.candidate.least, abs(s))
                       for f in model.fitted for s in f.candidate.step])  # fmt: skip
-    known = np.sqrt((columns**2).sum(axis=0)) * least > SILENT
+    known = np.sqrt((columns**2).sum(axis=0)) * least > UNSEEN_SD
     k = len(known)
     covariance, dofs = np.zeros((k, k)), np.full(k, 1.0)
     if known.any():

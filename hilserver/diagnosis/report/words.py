@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from hilserver.diagnosis.catalogue.vocabulary import cause_of
 from hilserver.diagnosis.findings.explain import (
+    COUNTS,
     QUANTITIES,
     explain_finding,
     number,
@@ -46,7 +47,6 @@ BEHIND = (
     "The patch contains it, and the robot needs no change for that. Another cause may be behind it:"
     " 'hilserver plan' finds the manoeuvre that shows more."
 )
-COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine")
 
 
 def headline(findings: Findings) -> str:

@@ -8,8 +8,8 @@ import pytest
 from hilserver.diagnosis.decide.effective import recurs, same_sign
 from hilserver.diagnosis.decide.revision import revised
 from hilserver.diagnosis.decide.selection import select
+from hilserver.diagnosis.findings.naming import named_findings
 from hilserver.diagnosis.findings.nested import answers_of, confirmed
-from hilserver.diagnosis.findings.outcome import named_findings
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.stages import Prepared
 from hilserver.diagnosis.replay.model import Fitted

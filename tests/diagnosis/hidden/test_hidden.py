@@ -185,6 +185,15 @@ def test_tyres_that_scrub_are_told_beside_the_rotation_gain():
     assert finding.separating_experiment is not None
 
 
+def test_a_turn_that_may_be_late_is_no_rotation_gain_alone():
+    """In a short log no latency can be named, but that the turn is on time is not shown either."""
+    made = replace(
+        recipe("rotation_gain", 302, 45.0), causes={"friction_anisotropy.ratio": 2.5}
+    )
+    (finding,) = judged(made).findings.findings
+    assert finding.causes == ("rotation_gain", "friction_anisotropy")
+
+
 @pytest.mark.long
 def test_what_tyres_bend_is_no_further_cause():
     """On circles their turn is no multiple of a gain: radius and speed fit a little of the rest."""
