@@ -1,7 +1,7 @@
 """The page of mapping files."""
 
 from hilserver.measured.builtin import builtin_mappings
-from hilserver.measured.mapping import ChannelMap, ColumnMap, PoseMap, TimeMap
+from hilserver.measured.mapping import ChannelMap, ColumnMap, ReferenceMap, TimeMap
 from hilserver.measured.names import ONLY_MAPPED_UNITS, known_signals, units_of
 from reference.configuration import rows_of
 
@@ -44,7 +44,7 @@ def as_markdown() -> str:
         rows_of(ColumnMap, "segment."),
         rows_of(ColumnMap, "block."),
         PLANT,
-        rows_of(PoseMap, "pose."),
+        rows_of(ReferenceMap, "reference."),
         rows_of(ChannelMap, "channels.<signal>."),
     ]
     others = ", ".join(f"`{n}` [{unit}]" for n, unit in ONLY_MAPPED_UNITS.items())

@@ -149,7 +149,7 @@ def _proposal(path: Path, topics: Mapping[str, Topic]) -> str:
     refuse_other_machine(str(path), names, types, has_wheels=has_wheels(found))
     choice = choose(found)
     is_mapped = words_of(choice.groups.get(NAV_X, "")) & _LOCALIZERS
-    lasting = ("pose: {by: map}   # its errors last: SLAM, AMCL, scan matching",)
+    lasting = ("reference: {by: map}   # its errors last: SLAM, AMCL, scan matching",)
     return text(choice.lines, *(lasting if is_mapped else ()))
 
 

@@ -102,7 +102,7 @@ class OdometryMap(Section):
     wheel_radius_m: float | None = Field(None, gt=0, description="null: unknown")
 
 
-class PoseMap(Section):
+class ReferenceMap(Section):
     """What shows the pose."""
 
     by: Literal["tracking", "map"] = Field(
@@ -130,8 +130,8 @@ class LogMapping(Section):
         default_factory=OdometryMap,
         description="for odom.linear_m_s and odom.angular_rad_s, which stand for wheel speeds",
     )
-    pose: PoseMap = Field(
-        default_factory=PoseMap, description="what shows the position and heading"
+    reference: ReferenceMap = Field(
+        default_factory=ReferenceMap, description="what shows the position and heading"
     )
     channels: dict[str, ChannelMap] = Field(min_length=1, description="by signal name")
 

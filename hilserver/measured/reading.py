@@ -80,11 +80,11 @@ def read_measured(
         notices=tuple(notices),
         on_ticks=any(recording.on_ticks for recording in recordings),
         pose_errors_last=any(recording.by_satellites for recording in recordings)
-        or (table is not None and table.pose.by == "map"),
+        or (table is not None and table.reference.by == "map"),
     )
     whole = without_jumps(cut_at_pauses(_pool(log, recordings)))
     pooled = with_wheels(whole, table)
-    if table is not None and table.pose.by == "map":
+    if table is not None and table.reference.by == "map":
         pooled = cut_at_corrections(without_own_odometry(pooled))
     _refuse_lengths(paths[0], [span.end_s - span.start_s for span in pooled.spans])
     for path, recording in zip(paths, recordings, strict=True):

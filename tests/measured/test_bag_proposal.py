@@ -228,7 +228,7 @@ def test_a_transform_that_a_tracker_publishes_is_a_pose_with_its_own_stamps(tmp_
 def test_the_pose_of_a_localizer_is_that_of_a_map(tmp_path):
     topics = {"/amcl_pose": stamped(), "/odom": odometry()}
     assert proposed(tmp_path, topics)["nav.x_m"] == ("/amcl_pose", "pose.position.x")
-    assert load_mapping(tmp_path / "map.yaml").pose.by == "map"
+    assert load_mapping(tmp_path / "map.yaml").reference.by == "map"
 
 
 def test_satellites_stand_before_odometry(tmp_path):
