@@ -18,6 +18,10 @@ from hilserver.measured.thresholds import (
     TO_SD,
 )
 
+OF_A_MAP: Final = (
+    "the pose is that of a map: its error lasts, so many poses say hardly more than a few, and what"
+    " the map distorts everywhere alike it does not show"
+)
 AROUND_JUMP: Final = (
     4  # samples on either side of a jump; one that comes back within is a wild one
 )

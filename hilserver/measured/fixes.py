@@ -27,6 +27,10 @@ from hilserver.measured.thresholds import FARTHEST_FIX_M, POOR_FIX
 
 EQUATOR_M: Final = 6_378_137.0  # semi-major axis of WGS 84
 ECCENTRICITY_2: Final = 0.006_694_379_990_14  # square of its first eccentricity
+OF_SATELLITES: Final = (
+    "the position was made of latitude and longitude, in metres east and north of the first fix;"
+    " its error lasts, so many fixes say hardly more than a few, and it shows no heading"
+)
 STANDS_M: Final = 1e-4  # receivers print less than the width of a hair
 
 
@@ -51,6 +55,7 @@ def placed(recordings: Sequence[Recording]) -> list[Recording]:
             known = degrees[np.isfinite(degrees[:, 0])]
             if origin is None and len(known):
                 origin = known[0]
+                notices.append(OF_SATELLITES)
             plane = degrees if origin is None else east_north_m(degrees, origin)
             if len(known):
                 _refuse_implausible(recording, plane)

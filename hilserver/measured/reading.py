@@ -14,7 +14,7 @@ from hilserver.logs.reading import is_bag_of_ros, refuse_others
 from hilserver.measured.bag import is_bag, read_bag
 from hilserver.measured.bag_proposal import refuse_unmapped
 from hilserver.measured.channels import DEMANDS, DUTY_COMMANDS, MODE, SETPOINTS, TWIST
-from hilserver.measured.corrections import cut_at_corrections
+from hilserver.measured.corrections import OF_A_MAP, cut_at_corrections
 from hilserver.measured.data import Channel, LogSource, MeasuredLog, Span
 from hilserver.measured.fixes import placed
 from hilserver.measured.frames import Sampling
@@ -85,7 +85,7 @@ def read_measured(
     whole = without_jumps(cut_at_pauses(_pool(log, recordings)))
     pooled = with_wheels(whole, table)
     if table is not None and table.reference.by == "map":
-        pooled = cut_at_corrections(without_own_odometry(pooled))
+        pooled = cut_at_corrections(without_own_odometry(pooled)).noticed(OF_A_MAP)
     _refuse_lengths(paths[0], [span.end_s - span.start_s for span in pooled.spans])
     for path, recording in zip(paths, recordings, strict=True):
         _refuse_slow(path, recording)

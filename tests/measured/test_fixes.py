@@ -51,6 +51,7 @@ def test_degrees_are_as_long_as_tables_of_the_ellipsoid_say():
 def test_a_table_of_fixes_is_a_position_whose_errors_last(tmp_path):
     log = read_measured([table(tmp_path)], tmp_path / "map.yaml")
     assert log.pose_errors_last
+    assert "it shows no heading" in log.notices[0]
     assert not any(name.startswith("fix.") for name in log.channels)
     x, y = (log[name].values for name in ("nav.x_m", "nav.y_m"))
     assert (x[0], y[0]) == (0.0, 0.0)

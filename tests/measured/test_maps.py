@@ -8,6 +8,7 @@ import pytest
 from hilserver.measured.corrections import cut_at_corrections
 from hilserver.measured.data import Channel, LogSource, MeasuredLog, Span
 from hilserver.measured.own_odometry import without_own_odometry
+from hilserver.measured.reading import read_measured
 
 RADIUS_M, TRACK_M = 0.1, 0.4
 RPM = 30.0 / np.pi
@@ -97,3 +98,26 @@ def test_wild_samples_and_noise_are_not_corrections():
     values[[300, 900, 901]] += 2.0
     log = log.with_channels({"nav.x_m": log["nav.x_m"].with_values(values)})
     assert cut_at_corrections(log) is log
+
+
+def test_a_mapping_says_that_a_map_shows_the_pose(tmp_path):
+    log = drive(of_encoders=True)
+    t_s = log["wheel.fl.speed_rpm"].t_s
+    columns = [t_s]
+    for channel in log.channels.values():
+        column = np.full(len(t_s), np.nan)
+        column[np.searchsorted(t_s, channel.t_s)] = channel.values
+        columns.append(column)
+    text = ",".join(["t_s", *log.channels])
+    path = tmp_path / "slam.csv"
+    np.savetxt(path, np.column_stack(columns), "%.9f", ",", header=text, comments="")
+    mapped = "".join(f"  {name}: {{column: {name}}}\n" for name in log.channels)
+    mapping = tmp_path / "map.yaml"
+    mapping.write_text("reference: {by: map}\nchannels:\n" + mapped)
+    found = read_measured([path], mapping)
+    assert found.pose_errors_last
+    assert "nav.yaw_rad" not in found
+    assert any("the odometry of these wheels" in note for note in found.notices)
+
+    mapping.write_text("channels:\n" + mapped)
+    assert "nav.yaw_rad" in read_measured([path], mapping)
