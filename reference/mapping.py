@@ -1,8 +1,8 @@
 """The page of mapping files."""
 
 from hilserver.measured.builtin import builtin_mappings
-from hilserver.measured.mapping import ChannelMap, ColumnMap, TimeMap
-from hilserver.measured.names import known_signals, units_of
+from hilserver.measured.mapping import ChannelMap, ColumnMap, ReferenceMap, TimeMap
+from hilserver.measured.names import ONLY_MAPPED_UNITS, known_signals, units_of
 from reference.configuration import rows_of
 
 HEAD = """# Mapping files: foreign logs
@@ -28,6 +28,9 @@ measures; `unit: "1"` with a `scale` turns bare counts into the signal's unit. W
 plant's signs: driving forward is positive on the left and negative on the right, so a right wheel
 that counts forward as positive has `sign: -1`.
 
+Besides signals a mapping may name {others}: signals are made of them, see
+[references](../how-to/references.md).
+
 | signal | its unit | units that fit |
 |---|---|---|
 """
@@ -41,10 +44,17 @@ def as_markdown() -> str:
         rows_of(ColumnMap, "segment."),
         rows_of(ColumnMap, "block."),
         PLANT,
+        rows_of(ReferenceMap, "reference."),
         rows_of(ChannelMap, "channels.<signal>."),
     ]
+    others = ", ".join(f"`{n}` [{unit}]" for n, unit in ONLY_MAPPED_UNITS.items())
     signals = "".join(
         f"| `{name}` | {signal.unit} | {', '.join(units_of(signal.unit))} |\n"
         for name, signal in known_signals().items()
     )
-    return HEAD.format(builtin=builtin) + "".join(keys) + TAIL + signals
+    return (
+        HEAD.format(builtin=builtin)
+        + "".join(keys)
+        + TAIL.format(others=others)
+        + signals
+    )

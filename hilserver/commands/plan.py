@@ -74,6 +74,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed", type=SEED, default=0, help="seed of the noise; default: 0"
     )
+    parser.add_argument(
+        "--satellites",
+        type=number(0.001, 100.0, "standard deviation (0.001 .. 100 m)"),
+        metavar="M",
+        help="the position comes from satellites, with this standard deviation and no heading",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -88,6 +94,7 @@ def run(args: argparse.Namespace) -> int:
         duration_s=args.duration,
         room_m=args.room,
         seed=args.seed,
+        satellites_m=args.satellites,
         jobs=os.cpu_count() or 1,
     )
     with Progress(

@@ -19,7 +19,7 @@ from hilserver.errors import EXIT_DONE, ConfigError, LogError, UserError
 from hilserver.exchange import DescribedRobot, read_robot
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.frames import Sampling
-from hilserver.measured.machine import machine
+from hilserver.measured.machine import doubts, machine
 from hilserver.measured.marks import with_marks
 from hilserver.measured.proposal import FILE as PROPOSAL
 from hilserver.measured.proposal import ForeignLog
@@ -88,13 +88,14 @@ def judge(
         found = read_measured(paths, task.mapping, sampling)
         if task.marks is not None:
             found = with_marks(found, task.marks)
+        robot = machine(found, assembly.robot)
+        questions = doubts(robot)
         if say is not None:
             begin = f"{name}: " if name else ""
-            say(begin + foretold(found, machine(found, assembly.robot)))
-            if described is not None:
-                for line in described.against(found.plant):
-                    say(begin + line)
-        return found
+            known = [] if described is None else described.against(found.plant)
+            for line in (foretold(found, robot), *known, *questions):
+                say(begin + line)
+        return found.noticed(*questions)
 
     if task.groups:
         read = {name: read_in(paths, name) for name, paths in task.groups}

@@ -118,6 +118,8 @@ TELESCOPES: Final = -0.35
 # Noise of a channel
 # s: what is correlated for longer is misfit; segments all shorter show no correlation
 NOISE_TAU_MAX_S: Final = 5.0
+# s: the same for the pose of satellites and maps, whose errors last for minutes
+LASTING_TAU_MAX_S: Final = 300.0
 NOISE_WINDOW_S: Final = 12.0  # s: longest stretch with one level and slope
 # share; more is not a tail: the gate would leave out a misfit
 NOISE_GATED_MAX: Final = 0.2

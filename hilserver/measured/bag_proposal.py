@@ -2,7 +2,7 @@
 
 import contextlib
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
@@ -12,7 +12,18 @@ from hilserver.errors import LogError
 from hilserver.logs.bag_messages import Bag, Topic, read_messages
 from hilserver.measured.builtin import builtin_mappings
 from hilserver.measured.candidates import Candidate, choose, has_wheels
-from hilserver.measured.channels import GYRO, IMU_YAW, NAV_X, NAV_Y, TWIST, VOLTAGE, YAW
+from hilserver.measured.channels import (
+    FIX_LATITUDE,
+    FIX_LONGITUDE,
+    FIX_VARIANCE,
+    GYRO,
+    IMU_YAW,
+    NAV_X,
+    NAV_Y,
+    TWIST,
+    VOLTAGE,
+    YAW,
+)
 from hilserver.measured.evidence import samples
 from hilserver.measured.fields import Field, items_of, names_of
 from hilserver.measured.mapping import load_mapping
@@ -39,6 +50,8 @@ _POSE: Final = {"position.x": NAV_X, "position.y": NAV_Y, "orientation.yaw": YAW
 _COMMAND: Final = dict(zip(("linear.x", "angular.z"), TWIST, strict=True))
 _JOINTS: Final = "sensor_msgs/msg/JointState"
 _ODOMETRY: Final = "nav_msgs/msg/Odometry"
+_TRANSFORMS: Final = "tf2_msgs/msg/TFMessage"
+_MOVES_M: Final = 0.1  # m; a frame that moves less is a part of the robot
 
 
 def _below(place: str, fields: Mapping[str, str]) -> Mapping[str, str]:
@@ -54,6 +67,11 @@ _MEASURED: Final[Mapping[str, Mapping[str, str]]] = {
         "orientation.yaw": IMU_YAW,
         "linear_acceleration.x": "imu.accel_x_m_s2",
         "linear_acceleration.y": "imu.accel_y_m_s2",
+    },
+    "sensor_msgs/msg/NavSatFix": {
+        "latitude": FIX_LATITUDE,
+        "longitude": FIX_LONGITUDE,
+        "position_covariance[0]": FIX_VARIANCE,
     },
     "geometry_msgs/msg/Pose": _POSE,
     "geometry_msgs/msg/Pose2D": {"x": NAV_X, "y": NAV_Y, "theta": YAW},
@@ -71,6 +89,16 @@ _COMMANDED: Final[Mapping[str, Mapping[str, str]]] = {
     "geometry_msgs/msg/Twist": _COMMAND,
     "geometry_msgs/msg/TwistStamped": _below("twist", _COMMAND),
 }
+_LOCALIZERS: Final = {
+    "amcl",
+    "slam",
+    "localization",
+    "cartographer",
+    "hector",
+    "rtabmap",
+    "icp",
+}
+"""In the names of poses that a map of the surroundings shows."""
 _ALSO_SENT: Final = {"joy", "teleop", "initialpose", "clicked"}
 _OF_ROS: Final = re.compile(
     r"((diagnostic|geometry|nav|rosgraph|sensor|tf2|visualization)_msgs|rcl_interfaces)/"
@@ -102,7 +130,7 @@ def refuse_unmapped(path: Path) -> NoReturn:
 def _proposal(path: Path, topics: Mapping[str, Topic]) -> str:
     """Return the text of a mapping file; empty without a guess."""
     kinds = {name: full_type(topic.type) for name, topic in topics.items()}
-    ours = {*_MEASURED, *_COMMANDED, _JOINTS}
+    ours = {*_MEASURED, *_COMMANDED, _JOINTS, _TRANSFORMS}
     wanted = {n for n, kind in kinds.items() if kind in ours or not _OF_ROS.match(kind)}
     bags: list[Bag] = []
     for most in _READ:
@@ -119,7 +147,10 @@ def _proposal(path: Path, topics: Mapping[str, Topic]) -> str:
         found += _candidates(name, topics[name], some, names) if some else []
     types = list(kinds.values())
     refuse_other_machine(str(path), names, types, has_wheels=has_wheels(found))
-    return text(choose(found).lines)
+    choice = choose(found)
+    is_mapped = words_of(choice.groups.get(NAV_X, "")) & _LOCALIZERS
+    lasting = ("reference: {by: map}   # its errors last: SLAM, AMCL, scan matching",)
+    return text(choice.lines, *(lasting if is_mapped else ()))
 
 
 def _candidates(
@@ -142,9 +173,10 @@ def _candidates(
     rank = 0 if is_truth else 1 + is_odometry
     guesses: list[tuple[str, str, str, str]] = []
     by_type = _COMMANDED if words & {*SENT, *_ALSO_SENT} else _MEASURED
-    if kind in _MEASURED or kind in _COMMANDED:
+    if kind in {*_MEASURED, *_COMMANDED, _TRANSFORMS}:
         why = f"by its type, {kind.split('/')[-1]}"
-        for field, signal in by_type.get(kind, {}).items():
+        known_fields = by_type.get(kind, {}) or _of_frames(messages)
+        for field, signal in known_fields.items():
             written = line(signal, field, words, at + quoted(field))
             guesses.append((signal, field, written, why))
     else:
@@ -164,7 +196,25 @@ def _candidates(
         if not len(seen.t):
             continue  # nothing was measured
         own = of_axis if signal in (GYRO, IMU_YAW) else rank
-        yield Candidate(signal, written, name, own, why, seen)
+        # what belongs together: a topic, or one of its frames
+        group = name + field.partition("]")[0] if kind == _TRANSFORMS else name
+        yield Candidate(signal, written, group, own, why, seen)
+
+
+def _of_frames(messages: Iterable[tuple[int, Any]]) -> dict[str, str]:
+    """Return the signals of frames that move, as a measured pose does, and not by odometry."""
+    places: dict[str, list[tuple[float, float]]] = {}
+    for one in (one for _, m in messages for one in getattr(m, "transforms", ())):
+        parent, child = one.header.frame_id, one.child_frame_id
+        if not ODOMETRY & (words_of(parent) | words_of(child)):
+            place = one.transform.translation
+            places.setdefault(child, []).append((place.x, place.y))
+    found: dict[str, str] = {}
+    for frame, at in places.items():
+        if np.ptp(at, axis=0).max() > _MOVES_M:
+            of_one = _MEASURED["geometry_msgs/msg/TransformStamped"]
+            found |= _below(f"transforms[{frame}]", of_one)
+    return found
 
 
 def _numbers(message: Any, place: str = "") -> Iterator[str]:

@@ -4,7 +4,17 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-from hilserver.measured.channels import GYRO, IMU_YAW, NAV_X, NAV_Y, TWIST, YAW
+from hilserver.measured.channels import (
+    FIX,
+    FIX_LATITUDE,
+    FIX_LONGITUDE,
+    GYRO,
+    IMU_YAW,
+    NAV_X,
+    NAV_Y,
+    TWIST,
+    YAW,
+)
 from hilserver.measured.evidence import (
     CLEARLY,
     LEAST,
@@ -53,6 +63,11 @@ def choose(found: Sequence[Candidate]) -> Choice:
         by_signal.setdefault(candidate.signal, []).append(candidate)
     choice = Choice()
     motion = _motion(by_signal)
+    is_fixed = {FIX_LATITUDE, FIX_LONGITUDE} <= by_signal.keys()
+    is_tracked = any(c.rank <= 0 for c in by_signal.get(NAV_X, ()))
+    # A robot has one position: satellites come before what may be the wheels' odometry.
+    for name in (NAV_X, NAV_Y) if is_fixed and not is_tracked else FIX:
+        by_signal.pop(name, None)
     for candidate in found:
         if candidate.rank < 0:  # it has the name of the signal
             choice.take(candidate, candidate.why)

@@ -15,6 +15,12 @@ OF_MODE: Final = (SETPOINTS, (*TWIST, "twist.lateral_m_s"), DUTY_COMMANDS)
 """The set-points in force, by the value of `MODE`."""
 ODOM_LINEAR: Final = "odom.linear_m_s"
 ODOM_ANGULAR: Final = "odom.angular_rad_s"
+FIX_LATITUDE: Final = "fix.latitude_deg"
+FIX_LONGITUDE: Final = "fix.longitude_deg"
+FIX_VARIANCE: Final = "fix.variance_m2"
+FIX_STATUS: Final = "fix.status"
+FIX: Final = (FIX_LATITUDE, FIX_LONGITUDE, FIX_VARIANCE, FIX_STATUS)
+"""What a receiver of satellites says, which a position is made of."""
 MODE: Final = "control.mode"
 NAV_X: Final = "nav.x_m"
 NAV_Y: Final = "nav.y_m"

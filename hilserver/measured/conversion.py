@@ -11,6 +11,7 @@ from hilserver.logs.reading import is_bag_of_ros, refuse_others
 from hilserver.logs.rewriting import as_table
 from hilserver.measured.bag import read_bag
 from hilserver.measured.bag_proposal import refuse_unmapped
+from hilserver.measured.fixes import placed
 from hilserver.measured.mapping import load_mapping
 from hilserver.measured.names import known_columns
 from hilserver.measured.tables import Recording, log_of_parquet, read_mapped
@@ -23,7 +24,8 @@ def read_any(path: Path, mapping: str | None = None) -> Log:
         if mapping is not None:
             table = load_mapping(mapping)
             read = read_bag if table.is_for_bags else read_mapped
-            return _one_table(read(path, table))
+            (recording,) = placed([read(path, table)])
+            return _one_table(recording)
         if path.suffix == ".parquet":
             return log_of_parquet(path)[0]
         if is_bag_of_ros(path) and not is_own_bag(path):

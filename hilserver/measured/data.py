@@ -81,6 +81,8 @@ class MeasuredLog:
     limits: Mapping[str, float] = field(default_factory=dict)
     # speeds that the data checks made of angles: their steps are those of a counter
     made: frozenset[str] = frozenset()
+    # True: errors of its pose last for tens of seconds, as those of satellites and maps do
+    pose_errors_last: bool = False
     # where the robot was at a few times, if nothing shows its pose all along
     marks: tuple[PlacedMark, ...] = ()
 
@@ -115,9 +117,9 @@ class MeasuredLog:
         """Return the log with marks as its reference."""
         return replace(self, marks=tuple(marks))
 
-    def noticed(self, notice: str) -> "MeasuredLog":
-        """Return the log with one more thing that a reader should know."""
-        return replace(self, notices=(*self.notices, notice))
+    def noticed(self, *notices: str) -> "MeasuredLog":
+        """Return the log with more that a reader should know."""
+        return replace(self, notices=(*self.notices, *notices))
 
     def without(self, names: Iterable[str]) -> "MeasuredLog":
         """Return the log without some channels."""

@@ -14,6 +14,9 @@ from hilserver.measured.thresholds import UNIT_NORM
 NOT_MEASURED: Final = -1.0
 """First element of a covariance of sensor_msgs/Imu if the sensor does not measure the quantity."""
 
+WITHOUT_FIX: Final = -1
+"""Status of sensor_msgs/NavSatFix if there is no fix."""
+
 _STEP: Final = re.compile(r"\.?([A-Za-z_]\w*)|\[([^\]]+)\]")
 _OWN_NAMES: Final = ("child_frame_id", "name", "key")
 """Attributes that name the elements of a list, if there is no list of names next to it."""
@@ -51,8 +54,13 @@ class Field:
     def __call__(self, message: Any) -> float:
         """Return the number; NaN if the message does not hold it.
 
-        It is also NaN if its covariance marks it as not measured (sensor_msgs/Imu).
+        It is also NaN if its covariance marks it as not measured (sensor_msgs/Imu), or the message
+        says that there is no fix (sensor_msgs/NavSatFix).
         """
+        status = getattr(message, "status", None)
+        if getattr(status, "status", 0) == WITHOUT_FIX:
+            self._gone(lambda: "its status says that there is no fix", is_mistake=False)
+            return math.nan
         covariance = getattr(message, f"{self._steps[0]}_covariance", None)
         if isinstance(covariance, np.ndarray | list) and list(covariance[:1]) == [
             NOT_MEASURED

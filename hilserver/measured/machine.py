@@ -7,6 +7,7 @@ from typing import Any
 from hilserver.config.root import Config
 from hilserver.errors import LogError
 from hilserver.measured.data import MeasuredLog
+from hilserver.measured.thresholds import ODD_TIMES
 from hilserver.plant.errors import PlantError
 from hilserver.plant.parameters import RobotParameters
 
@@ -32,6 +33,24 @@ def machine(log: MeasuredLog, robot: RobotParameters) -> RobotParameters:
         raise LogError(
             f"{log.sources[0].file}: plant section of its mapping: {error}"
         ) from None
+
+
+def doubts(robot: RobotParameters) -> list[str]:
+    """Return a question for each dimension that may be in another unit."""
+    found = []
+    for name, value_m in (
+        ("track (wheel separation)", robot.track_m),
+        ("wheelbase", robot.wheelbase_m),
+    ):
+        if value_m is None:
+            continue
+        times = value_m / robot.wheel_radius_m
+        if not 1.0 <= times <= ODD_TIMES:
+            found.append(
+                f"the {name} is {value_m:g} m and the wheel radius {robot.wheel_radius_m:g} m:"
+                f" {times:.3g} times as much; are both in metres?"
+            )
+    return found
 
 
 def machine_config(log: MeasuredLog, config: Config) -> Config:

@@ -102,6 +102,16 @@ class OdometryMap(Section):
     wheel_radius_m: float | None = Field(None, gt=0, description="null: unknown")
 
 
+class ReferenceMap(Section):
+    """What shows the pose."""
+
+    by: Literal["tracking", "map"] = Field(
+        "tracking",
+        description="tracking: cameras or radio tags; map: SLAM, AMCL, scan matching, whose errors"
+        " last and jump where it corrects itself. Latitude and longitude need no entry",
+    )
+
+
 class LogMapping(Section):
     """A mapping file."""
 
@@ -119,6 +129,9 @@ class LogMapping(Section):
     odom: OdometryMap = Field(
         default_factory=OdometryMap,
         description="for odom.linear_m_s and odom.angular_rad_s, which stand for wheel speeds",
+    )
+    reference: ReferenceMap = Field(
+        default_factory=ReferenceMap, description="what shows the position and heading"
     )
     channels: dict[str, ChannelMap] = Field(min_length=1, description="by signal name")
 

@@ -12,6 +12,7 @@ from hilserver.errors import ConfigError, LogError
 from hilserver.measured.channels import GYRO, POSITION, YAW
 from hilserver.measured.data import MeasuredLog
 from hilserver.measured.floor_marks import FloorMark, PlacedMark
+from hilserver.measured.thresholds import COARSE_MARK_M
 
 MOST_MARKS: Final = 5000
 
@@ -54,6 +55,12 @@ def with_marks(log: MeasuredLog, path: Path) -> MeasuredLog:
         raise LogError("\n".join(complaints[:20]))
 
     log = log.with_marks(placed)
+    coarsest_m = max(mark.sd_m for mark in marks)
+    if coarsest_m > COARSE_MARK_M:
+        log = log.noticed(
+            f"{path}: a mark has sd_m {coarsest_m:g}, so coarse that it hardly shows anything;"
+            " write metres, as 0.005 for 5 mm"
+        )
     if GYRO not in log:
         return log
     notice = (

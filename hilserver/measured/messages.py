@@ -195,8 +195,10 @@ def full_type(name: str) -> str:
 
 
 def _header_ns(where: str, message: Any) -> int:
+    listed = getattr(message, "transforms", None)
     try:
-        stamp = message.header.stamp
+        # a list of transforms has a stamp for each
+        stamp = (listed[0] if listed else message).header.stamp
         rest = stamp.nanosec if hasattr(stamp, "nanosec") else stamp.nsec
         return int(stamp.sec) * 1_000_000_000 + int(rest)
     except AttributeError:

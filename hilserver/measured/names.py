@@ -5,7 +5,14 @@ import re
 from functools import cache
 from typing import Final
 
-from hilserver.measured.channels import ODOM_ANGULAR, ODOM_LINEAR
+from hilserver.measured.channels import (
+    FIX_LATITUDE,
+    FIX_LONGITUDE,
+    FIX_STATUS,
+    FIX_VARIANCE,
+    ODOM_ANGULAR,
+    ODOM_LINEAR,
+)
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import RAD_S_PER_RPM
 from hilserver.signals import (
@@ -17,7 +24,15 @@ from hilserver.signals import (
     robot_table,
 )
 
-ODOMETRY_UNITS: Final = {ODOM_LINEAR: "m/s", ODOM_ANGULAR: "rad/s"}
+ONLY_MAPPED_UNITS: Final = {
+    ODOM_LINEAR: "m/s",
+    ODOM_ANGULAR: "rad/s",
+    FIX_LATITUDE: "deg",
+    FIX_LONGITUDE: "deg",
+    FIX_VARIANCE: "m²",
+    FIX_STATUS: "1",
+}
+"""By channel that is no signal: signals are made of them, see `odometry` and `fixes`."""
 _OF_THE_DAEMON = ("sim.", "internal.")
 
 
@@ -39,9 +54,9 @@ def known_signals() -> dict[str, Signal]:
 
 
 def mapped_units() -> dict[str, str]:
-    """Return the unit of everything that a mapping may name: signals, and a driver's odometry."""
+    """Return the unit of everything that a mapping may name, by its name."""
     units = {name: signal.unit for name, signal in known_signals().items()}
-    return units | ODOMETRY_UNITS
+    return units | ONLY_MAPPED_UNITS
 
 
 def signal_unit(name: str) -> str:

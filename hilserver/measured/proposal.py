@@ -9,7 +9,16 @@ from hilserver.errors import LogError
 from hilserver.logs.csv_times import TEXTS, kind_of
 from hilserver.logs.table import BLOCK, SEGMENT, TIME
 from hilserver.measured.candidates import Candidate, choose
-from hilserver.measured.channels import GYRO, IMU_YAW, NAV_X, NAV_Y, VOLTAGE, YAW
+from hilserver.measured.channels import (
+    FIX_LATITUDE,
+    FIX_LONGITUDE,
+    GYRO,
+    IMU_YAW,
+    NAV_X,
+    NAV_Y,
+    VOLTAGE,
+    YAW,
+)
 from hilserver.measured.evidence import UNSEEN, Samples
 from hilserver.measured.mapping import DATED
 from hilserver.measured.names import (
@@ -152,6 +161,9 @@ _OF_ONE_AXIS: Final = _AXES | _TURN
 _GYRO: Final = {"gyro", "yawrate", "wz", "gz"}
 _VOLTAGE: Final = {"voltage", "battery", "vbat", "volt"}
 
+_NO_DEGREES: Final = {"std", "sd", "error", "err", "accuracy", "covariance", "var"}
+"""What a receiver says of its latitude and longitude."""
+
 _ANY_COMMAND: Final = {"vel", "velocity", "cmd", "command"}
 _RULES: Final[tuple[tuple[str, tuple[set[str], ...], set[str]], ...]] = (
     ("twist.linear_m_s", (SENT, {"linear", "v", "vx"}), {"y", "z", "angular"}),
@@ -164,6 +176,8 @@ _RULES: Final[tuple[tuple[str, tuple[set[str], ...], set[str]], ...]] = (
     (GYRO, ({"imu"}, _OF_IMU), _NO_RATE),
     (YAW, (_TURN,), set()),
     (VOLTAGE, (_VOLTAGE,), set()),
+    (FIX_LATITUDE, ({"latitude", "lat"},), _NO_DEGREES),
+    (FIX_LONGITUDE, ({"longitude", "lon", "lng"},), _NO_DEGREES),
     (NAV_X, ({"x", "px", "tx", "posx"},), _NO_PLACE),
     (NAV_Y, ({"y", "py", "ty", "posy"},), _NO_PLACE),
 )

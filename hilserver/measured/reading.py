@@ -21,10 +21,13 @@ from hilserver.measured.channels import (
     SPEEDS,
     TWIST,
 )
+from hilserver.measured.corrections import OF_A_MAP, cut_at_corrections
 from hilserver.measured.data import Channel, LogSource, MeasuredLog, Span
+from hilserver.measured.fixes import placed
 from hilserver.measured.frames import Sampling
 from hilserver.measured.mapping import LogMapping, load_mapping
 from hilserver.measured.odometry import with_wheels
+from hilserver.measured.own_odometry import without_own_odometry
 from hilserver.measured.pauses import cut_at_pauses, without_jumps
 from hilserver.measured.tables import (
     Recording,
@@ -68,7 +71,7 @@ def read_measured(
         One sentence that names file, row, column and remedy.
     """
     table = None if mapping is None else load_mapping(mapping)
-    recordings = [_read(path, table, sampling) for path in paths]
+    recordings = placed([_read(path, table, sampling) for path in paths])
     if not recordings:
         raise LogError("no log given; name at least one")
     sources = tuple(LogSource(_shown(path), _sha256(path)) for path in paths)
@@ -84,9 +87,13 @@ def read_measured(
         plant={} if table is None else table.plant_keys,
         notices=tuple(notices),
         on_ticks=any(recording.on_ticks for recording in recordings),
+        pose_errors_last=any(recording.by_satellites for recording in recordings)
+        or (table is not None and table.reference.by == "map"),
     )
     whole = without_jumps(cut_at_pauses(_pool(log, recordings)))
     pooled = with_wheels(whole, table)
+    if table is not None and table.reference.by == "map":
+        pooled = cut_at_corrections(without_own_odometry(pooled)).noticed(OF_A_MAP)
     _refuse_lengths(paths[0], [span.end_s - span.start_s for span in pooled.spans])
     for path, recording in zip(paths, recordings, strict=True):
         _refuse_slow(path, recording)

@@ -69,6 +69,7 @@ class Recording:
     notices: Sequence[str] = ()
     machine: str | None = None  # the plant with which our recording was made, as YAML
     on_ticks: bool = False  # see `MeasuredLog`
+    by_satellites: bool = False  # the position was made of fixes
 
 
 def read_own(path: Path, sampling: Sampling | None = None) -> Recording:

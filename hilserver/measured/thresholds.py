@@ -19,6 +19,29 @@ TURNING_RPM: Final = (
 )
 UNIT_NORM: Final = 0.1  # a quaternion whose norm is further from 1 is no orientation
 
+# Fixes of satellites
+FARTHEST_FIX_M: Final = 50_000.0  # m from the first one; a robot of today drives less
+# times the stated standard deviation that is usual in the log; worse ones are left out
+POOR_FIX: Final = 3.0
+
+TO_SD: Final = 1.4826  # from the median size of normal noise to its deviation
+
+# The pose of a map: SLAM, AMCL, scan matching
+FEWEST_STEPS: Final = 100  # of a pose; fewer do not show whose noise they have
+# share of the wheels' noise below which steps of a pose are made of the wheels
+COPIED_NOISE: Final = 0.5
+LATEST_ROWS: Final = 3.0  # by which odometry may be late
+CORRECTION_LEAST_M: Final = 0.05  # m; smaller jumps are noise
+CORRECTION_LEAST_RAD: Final = 0.03  # rad
+CORRECTION_SD: Final = 8.0  # deviations of a usual step
+CORRECTIONS_APART_S: Final = 5.0  # s in the mean; more frequent ones are noise
+
+# What a user may have meant in another unit
+COARSE_MARK_M: Final = 0.5  # m; a tape is better
+ODD_TIMES: Final = (
+    10.0  # of track and wheelbase to the wheel radius: two to eight are usual
+)
+
 # Where a segment ends
 PAUSE_S: Final = 3.0  # s: the replay bridges shorter gaps, with the set-points; ...
 # ... and in slow recordings this many usual steps between samples

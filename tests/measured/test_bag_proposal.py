@@ -184,3 +184,58 @@ def test_the_proposal_is_yaml_whatever_topics_are_called(tmp_path):
     twist = TYPES["geometry_msgs/msg/Twist"](ZERO, ZERO)
     found = proposed(tmp_path, {'/a"b: {}/cmd': twist})
     assert found["twist.linear_m_s"] == ('/a"b: {}/cmd', "linear.x")
+
+
+def transforms(i):
+    kinds = "geometry_msgs/msg/"
+
+    def one(parent, child, x):
+        stamp = TYPES["builtin_interfaces/msg/Time"](
+            sec=1 + i // 500, nanosec=2_000_000 * (i % 500)
+        )
+        place = TYPES[kinds + "Vector3"](x, 0.0, 0.0)
+        turned = TYPES[kinds + "Quaternion"](0.0, 0.0, 0.0, 1.0)
+        return TYPES[kinds + "TransformStamped"](
+            TYPES["std_msgs/msg/Header"](stamp=stamp, frame_id=parent),
+            child,
+            TYPES[kinds + "Transform"](place, turned),
+        )
+
+    parts = [one("odom", "base_link", 0.1 * i), one("base_link", "imu", 0.2)]
+    return TYPES["tf2_msgs/msg/TFMessage"]([one("world", "robot", 0.11 * i), *parts])
+
+
+def test_a_transform_that_a_tracker_publishes_is_a_pose_with_its_own_stamps(tmp_path):
+    kind = "tf2_msgs/msg/TFMessage"
+    with Writer(tmp_path / "bag", version=9, storage_plugin=SQLITE) as writer:
+        connection = writer.add_connection("/tf", kind, typestore=STORE)
+        for i in range(600):
+            burst = 10**18 + 40_000_000 * (i // 20)
+            writer.write(
+                connection, burst + i, STORE.serialize_cdr(transforms(i), kind)
+            )
+    with pytest.raises(ForeignLog) as refusal:
+        read_measured([tmp_path / "bag"])
+    proposal = refusal.value.proposal
+    assert 'field: "transforms[robot].transform.translation.x"' in proposal
+    assert "base_link" not in proposal
+
+    (tmp_path / "map.yaml").write_text("time: {stamp: header}\n" + proposal)
+    log = read_measured([tmp_path / "bag"], tmp_path / "map.yaml")
+    assert np.diff(log["nav.x_m"].t_s) == pytest.approx(2e-3)
+
+
+def test_the_pose_of_a_localizer_is_that_of_a_map(tmp_path):
+    topics = {"/amcl_pose": stamped(), "/odom": odometry()}
+    assert proposed(tmp_path, topics)["nav.x_m"] == ("/amcl_pose", "pose.position.x")
+    assert load_mapping(tmp_path / "map.yaml").reference.by == "map"
+
+
+def test_satellites_stand_before_odometry(tmp_path):
+    status = TYPES["sensor_msgs/msg/NavSatStatus"](status=0, service=1)
+    fix = TYPES["sensor_msgs/msg/NavSatFix"](
+        header(), status, 48.7, 9.1, 300.0, np.zeros(9), 0
+    )
+    found = proposed(tmp_path, {"/odom": odometry(), "/fix": fix})
+    assert found["fix.latitude_deg"] == ("/fix", "latitude")
+    assert "nav.x_m" not in found

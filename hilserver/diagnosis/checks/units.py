@@ -275,8 +275,8 @@ def _without_degrees(log: MeasuredLog, robot: RobotParameters) -> MeasuredLog:
     ):
         return log
     note = (
-        f"{listed(POSITION)} are latitude and longitude in degrees and were left out: write"
-        " metres east and north of a fixed point, as in UTM"
+        f"{listed(POSITION)} are latitude and longitude in degrees and were left out: map them"
+        " as fix.latitude_deg and fix.longitude_deg"
     )
     return replace(log.without(POSITION), notices=(*log.notices, note))
 

@@ -16,11 +16,14 @@ from hilserver.arrays import Array
 from hilserver.diagnosis.noise.whitening import NoiseModel
 from hilserver.diagnosis.noise.windows import SAMPLES_MAX, NoiseWindows
 from hilserver.diagnosis.thresholds import (
+    LASTING_TAU_MAX_S,
     NOISE_GATED_MAX,
     NOISE_NATS,
     NOISE_TAU_MAX_S,
+    NOISE_WINDOW_S,
     SHORT_DOF,
 )
+from hilserver.measured.thresholds import LONGEST_SEGMENT_S
 
 _SHARE_LOGITS = (-4.0, -2.0, 0.0, 2.0, 5.0)
 _LOGIT_RANGE = (-8.0, 10.0)
@@ -29,7 +32,9 @@ _FALLBACK_SD = 1e-9
 _LAGS = 40
 
 
-def fit_noise(residuals: Iterable[tuple[Array, Array]]) -> NoiseModel:
+def fit_noise(
+    residuals: Iterable[tuple[Array, Array]], *, lasts: bool = False
+) -> NoiseModel:
     """Fit white + Ornstein-Uhlenbeck noise with tails.
 
     Residuals of a perfect replay, which are all equal, have next to no noise. With fewer than 8
@@ -39,19 +44,25 @@ def fit_noise(residuals: Iterable[tuple[Array, Array]]) -> NoiseModel:
     ----------
     residuals : iterable of (t_s, r)
         Per span, shape (n,) each; stamps rise, at any intervals.
+    lasts : bool
+        Whether the noise itself may be slow drift, as that of satellites: then whole segments are
+        the windows.
     """
     residuals = list(residuals)
-    windows = NoiseWindows.cut(residuals)
+    window_s, slowest_s = NOISE_WINDOW_S, NOISE_TAU_MAX_S
+    if lasts:
+        window_s, slowest_s = LONGEST_SEGMENT_S, LASTING_TAU_MAX_S
+    windows = NoiseWindows.cut(residuals, window_s)
     if windows.samples < 8:
         return NoiseModel(_size([r for _, r in residuals]))
     if not windows.spread > _FALLBACK_SD:
         return NoiseModel(_FALLBACK_SD)
     windows.gate_level()
-    model = _fit(windows, None)
+    model = _fit(windows, None, slowest_s)
     if windows.gate_innovations(model) > NOISE_GATED_MAX:
         windows.gate_level()
     else:
-        model = _fit(windows, model)
+        model = _fit(windows, model, slowest_s)
     dof = _tail_dof(windows.innovations(model))
     return NoiseModel(
         max(model.white_sd, _FALLBACK_SD), model.ou_sd, model.ou_tau_s, dof
@@ -123,11 +134,13 @@ def robust_weights(samples: Array) -> Array:
     return np.asarray((SHORT_DOF + 1.0) / (SHORT_DOF - 2.0 + np.square(samples)))
 
 
-def _fit(windows: NoiseWindows, start: NoiseModel | None) -> NoiseModel:
+def _fit(
+    windows: NoiseWindows, start: NoiseModel | None, slowest_s: float
+) -> NoiseModel:
     """Maximise the likelihood over correlation time and share of the coloured part."""
     tau_range = (
-        math.log(min(windows.step_s, 0.5 * NOISE_TAU_MAX_S)),
-        math.log(NOISE_TAU_MAX_S),
+        math.log(min(windows.step_s, 0.5 * slowest_s)),
+        math.log(slowest_s),
     )
 
     def loss(point: Sequence[float], subset: NoiseWindows = windows) -> float:

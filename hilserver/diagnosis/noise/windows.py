@@ -31,7 +31,9 @@ class NoiseWindows:
     lines: Array  # shape (windows, 2): level and slope, robust
 
     @classmethod
-    def cut(cls, residuals: Iterable[tuple[Array, Array]]) -> "NoiseWindows":
+    def cut(
+        cls, residuals: Iterable[tuple[Array, Array]], window_s: float = NOISE_WINDOW_S
+    ) -> "NoiseWindows":
         """Cut spans into equal windows; if there are too many, drop some evenly."""
         pieces: list[tuple[Array, Array]] = []
         for stamps, values in residuals:
@@ -39,7 +41,7 @@ class NoiseWindows:
             t_s, r = np.asarray(stamps, float)[good], np.asarray(values, float)[good]
             if not len(t_s):
                 continue
-            count = max(1, math.ceil((t_s[-1] - t_s[0]) / NOISE_WINDOW_S))
+            count = max(1, math.ceil((t_s[-1] - t_s[0]) / window_s))
             edges = np.linspace(t_s[0], t_s[-1], count + 1)[1:-1]
             cuts = np.searchsorted(t_s, edges)
             pieces += zip(np.split(t_s, cuts), np.split(r, cuts), strict=True)

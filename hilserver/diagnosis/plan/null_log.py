@@ -46,6 +46,9 @@ WHITE: Final = {
 """Standard deviations of the white noise of the reference logs."""
 CORRELATED: Final = {**dict.fromkeys(POSITION, (0.05, 0.6)), YAW: (0.015, 2.0)}
 """Standard deviation and correlation time [s] of their Ornstein-Uhlenbeck noise."""
+SATELLITES_HZ: Final = 5.0
+SATELLITES_WHITE: Final = 0.1  # white share of the error of a position by satellites
+SATELLITES_TAU_S: Final = 60.0  # its correlation time
 JITTER_S: Final = 0.002
 """Of a row's time: rows that always fall on the same tick of a period hold less information."""
 SAG_V_PER_S: Final = 0.001
@@ -59,6 +62,8 @@ class PlannedRecording:
     channels: tuple[str, ...] = ALL  # measured signals, besides the set-points
     rate_hz: float = 50.0  # rows per second
     navigation_hz: float = 20.0  # samples of the navigation per second
+    # standard deviation of a position by satellites; None: that of the reference logs
+    satellites_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -118,10 +123,15 @@ def null_log(
     noisy = {}
     for name in recording.channels:
         c = log[name]
-        values = c.values if rng is None else c.values + _noise(name, c, rng)
+        values = c.values
+        if rng is not None:
+            values = values + _noise(name, c, rng, recording.satellites_m)
         noisy[name] = c.with_values(values)
     kept = {name: c for name, c in log.channels.items() if name in SETPOINTS}
-    return MeasuredLog(log.sources, {**kept, **noisy}, log.spans)
+    lasts = recording.satellites_m is not None
+    return MeasuredLog(
+        log.sources, {**kept, **noisy}, log.spans, pose_errors_last=lasts
+    )
 
 
 def _stamps(
@@ -181,8 +191,14 @@ def _filled(
     }
 
 
-def _noise(name: str, channel: Channel, rng: np.random.Generator) -> Array:
-    noise = WHITE.get(name, 0.0) * rng.standard_normal(len(channel))
+def _noise(
+    name: str, channel: Channel, rng: np.random.Generator, satellites_m: float | None
+) -> Array:
+    fresh = rng.standard_normal(len(channel))
+    if satellites_m is not None and name in POSITION:
+        slow = _ornstein_uhlenbeck(channel.t_s, satellites_m, SATELLITES_TAU_S, rng)
+        return np.asarray(SATELLITES_WHITE * satellites_m * fresh + slow)
+    noise = WHITE.get(name, 0.0) * fresh
     if name in CORRELATED:
         noise += _ornstein_uhlenbeck(channel.t_s, *CORRELATED[name], rng)
     return np.asarray(noise)

@@ -18,6 +18,7 @@ from hilserver.diagnosis.plan.manoeuvre import (
 from hilserver.diagnosis.plan.null_log import (
     ALL,
     GROUPS,
+    SATELLITES_HZ,
     PlannedRecording,
     Studio,
     path_of,
@@ -28,6 +29,7 @@ from hilserver.diagnosis.plan.search import choose, information_of
 from hilserver.diagnosis.progress import Report
 from hilserver.errors import FailedError
 from hilserver.faults.scenario import as_yaml
+from hilserver.measured.channels import YAW
 from hilserver.measured.machine import machine
 from hilserver.measured.reading import read_measured
 from hilserver.plant.parameters import RobotParameters
@@ -49,6 +51,7 @@ class Wish:
     rate_hz: float = 50.0
     # of the better manoeuvre; None: that of the given one
     duration_s: float | None = None
+    satellites_m: float | None = None  # see `PlannedRecording`
     room_m: tuple[float, float] = ROOM_M
     seed: int = 0
     jobs: int = 2
@@ -83,6 +86,13 @@ def plan(
     """
     given = read(wish, assembly.robot)
     recording = PlannedRecording(wish.channels or given.channels, wish.rate_hz)
+    if wish.satellites_m is not None:
+        recording = replace(
+            recording,
+            channels=tuple(name for name in recording.channels if name != YAW),
+            navigation_hz=SATELLITES_HZ,
+            satellites_m=wish.satellites_m,
+        )
     studio = Studio(given.robot, wish.seed, wish.jobs, report)
     now = look(given.spans, recording, studio)
     chosen = _better(

@@ -28,7 +28,7 @@ from hilserver.diagnosis.replay.model import Model
 from hilserver.diagnosis.replay.stack import Stack
 from hilserver.diagnosis.replay.stage import Stage
 from hilserver.diagnosis.thresholds import GROSS, NEGLIGIBLE, NOISE_TAU_MAX_S
-from hilserver.measured.channels import POSITION
+from hilserver.measured.channels import POSITION, TAG
 
 T = TypeVar("T")
 _Kept = deque[tuple[tuple[object, ...], Any]]
@@ -285,8 +285,9 @@ class Problem:
                 noise_of_readings(readings, reading) if reading.step > 0.0 else None
             )
             return rounded or noise_of_neighbours(residuals)
+        lasts = name in TAG and self.stage.log.pose_errors_last
         found, rounding = (
-            plain_noise(residuals) or fit_noise(residuals),
+            plain_noise(residuals) or fit_noise(residuals, lasts=lasts),
             reading.step / 12.0**0.5,
         )
         if found.sd >= rounding:
