@@ -16,7 +16,7 @@ from hilserver.errors import ControlRefused
 from hilserver.kernel.fitted import fitted_limits
 from hilserver.parameters import check, named
 from hilserver.plant.errors import PlantError
-from hilserver.program.whole_file import sync_folder
+from hilserver.small_file import sync_folder
 
 MOST_FILES: Final = 100  # patches in the folder: saving them must not fill the disk
 

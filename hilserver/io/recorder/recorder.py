@@ -42,13 +42,18 @@ class Recorder:
         self._slots = self._choose(settings.signals)
         self._utc_ns = time.time_ns() - time.monotonic_ns()
         self._series = FileSeries(settings)
-        self._writing = WriteBehind(
-            lambda: self._series.open(self._run, self._slots, self._utc_ns),
-            self._series.is_full,
-            self._want_state,
-            settings.buffer_bytes,
-            self._series.check,
-        )
+        try:
+            self._writing = WriteBehind(
+                lambda: self._series.open(self._run, self._slots, self._utc_ns),
+                self._series.is_full,
+                self._want_state,
+                settings.buffer_bytes,
+                self._series.check,
+            )
+        except TimeoutError as error:
+            raise FailedError(
+                f"{settings.path}: {error}; see whether its disk answers"
+            ) from None
         self._rotate_s, self._file_began = settings.rotate_s, 0
         self._period_s = int(self._run["base_period_ns"]) * 1e-9
         self._thinner = Thinner(self._slots) if settings.sparse else None
