@@ -109,11 +109,10 @@ class _Folder:
                     certificate = parse_certificate(data)
                 except ValueError:
                     is_text = data[:1000].lstrip().startswith(b"-----BEGIN")
-                    parsed = (
-                        x509.load_pem_x509_crl(data)
-                        if is_text
-                        else x509.load_der_x509_crl(data)
-                    )
+                    if is_text:
+                        parsed = x509.load_pem_x509_crl(data)
+                    else:
+                        parsed = x509.load_der_x509_crl(data)
                     self.lists.append(parsed)
                 else:
                     self.certificates[thumbprint(certificate)] = certificate
