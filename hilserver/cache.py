@@ -44,7 +44,8 @@ tell: Callable[[str], None] = _print
 def reported_by(say: Callable[[str], None]) -> Iterator[None]:
     """Let `say` tell what is wrong with the cache, while the context lasts."""
     global tell  # noqa: PLW0603 - one per process
-    before, tell = tell, say
+    before = tell
+    tell = say
     try:
         yield
     finally:
@@ -111,9 +112,10 @@ def _report(folder: Path, error: OSError, spare: Path) -> None:
     if _is_reported:
         return
     _is_reported = True
-    why = (
-        "there is no home folder" if folder == NOWHERE else f"{folder}: {reason(error)}"
-    )
+    if folder == NOWHERE:
+        why = "there is no home folder"
+    else:
+        why = f"{folder}: {reason(error)}"
     cost = f"compiled code is kept in {spare.parent} until the computer restarts"
     if spare == NOWHERE:
         cost = "compiled code cannot be kept: each start compiles for a minute or two"
@@ -151,9 +153,9 @@ class Shelf:
     def get(self, name: str) -> bytes | None:
         """Return what was put under `name`, by any process."""
         found = whole(self.folder / name)
-        return (
-            whole(spare_of(self._name, make=False) / name) if found is None else found
-        )
+        if found is None:
+            return whole(spare_of(self._name, make=False) / name)
+        return found
 
     def put(self, name: str, data: bytes) -> None:
         """Keep `data`, whole or not at all, where there is room for it."""

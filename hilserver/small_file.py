@@ -1,4 +1,4 @@
-"""Small files that a user names, read whole; a pipe or an endless device cannot block us."""
+"""Small files: read whole, without waiting for a pipe; and new names that the disk holds."""
 
 import errno
 import os
@@ -18,3 +18,18 @@ def read_small(path: Path, most_bytes: int = LARGEST) -> bytes:
     if len(content) > most_bytes:
         raise OSError(errno.EFBIG, f"it is larger than {most_bytes} bytes", str(path))
     return content
+
+
+def sync_folder(folder: Path) -> None:
+    """Let the disk hold the names in a folder: after a loss of power, a new one is there."""
+    try:
+        fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    except PermissionError:  # one may be allowed to write there, but not to look
+        return
+    try:
+        os.fsync(fd)
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # a disk that cannot do this for folders
+            raise
+    finally:
+        os.close(fd)

@@ -45,11 +45,10 @@ class Ended:
     again_in_s: float | None = None  # None: it does not begin again
 
     def __str__(self) -> str:
-        again = (
-            ""
-            if self.again_in_s is None
-            else f"; it begins again in {self.again_in_s:g} s"
-        )
+        if self.again_in_s is None:
+            again = ""
+        else:
+            again = f"; it begins again in {self.again_in_s:g} s"
         return f"task '{self.name}' {self.why}{again}"
 
 

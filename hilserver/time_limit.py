@@ -58,7 +58,8 @@ class _Prolonging:
     """
 
     def __init__(self, wait: asyncio.Timeout, limit_s: float, at_most_s: float) -> None:
-        self._wait, self._loop = wait, asyncio.get_running_loop()
+        self._wait = wait
+        self._loop = asyncio.get_running_loop()
         self._timer: asyncio.TimerHandle | None = None
         self._due_s = self._loop.time()
         self._ends_s = self._due_s + limit_s

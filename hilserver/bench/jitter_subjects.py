@@ -80,7 +80,8 @@ class Subject:
         While cyclictest runs, the subject must remain the same load, but not compete with it at
         the same priority: the subject has no such competitor while it is measured.
         """
-        priority, thread = self.priority, self.statistics.thread_id
+        priority = self.priority
+        thread = self.statistics.thread_id
         if priority > 0:
             os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
         try:
@@ -115,7 +116,8 @@ def loaded_daemon(
 ) -> Iterator[Subject]:
     """Run the daemon and ten OPC UA clients that read 50 nodes at 20 Hz each."""
     with tempfile.TemporaryDirectory(prefix="hilserver-") as folder:
-        port, image = free_port(), f"bench-jitter-{os.getpid()}"
+        port = free_port()
+        image = f"bench-jitter-{os.getpid()}"
         url = f"opc.tcp://127.0.0.1:{port}/hilserver"
         path = Path(folder) / "config.yaml"
         place = Place(Path(folder), free_port())
@@ -187,7 +189,8 @@ def _load_report(clients: "subprocess.Popen[str]", duration_s: float) -> str:
         raise FailedError(
             "an OPC UA client failed during the measurement: the load was incomplete"
         )
-    reads, late = int(words[0]), int(words[1])
+    reads = int(words[0])
+    late = int(words[1])
     wanted = N_CLIENTS * RATE_HZ * duration_s
     if reads < 0.8 * wanted:
         raise FailedError(

@@ -140,7 +140,8 @@ async def daemon(config: PeerConfig) -> AsyncIterator[Callable[[], str | None]]:
         "peers": [config.model_dump(mode="json")],
     }
     with tempfile.TemporaryDirectory() as folder:
-        path, log = Path(folder) / "config.yaml", Path(folder) / "log"
+        path = Path(folder) / "config.yaml"
+        log = Path(folder) / "log"
         path.write_text(yaml.safe_dump(document), encoding="utf-8")
         with log.open("wb") as stderr:
             command = children.python("-m", "hilserver", "run", "-c", str(path))
@@ -179,12 +180,12 @@ async def measure(mode: str, changes: int, seed: int) -> list[float]:
 
 def intervals(mode: str) -> dict[str, float]:
     """Return every interval [ms] that a change has to wait for, by name."""
-    config, scheduler = demo_peer("opc.tcp://127.0.0.1:1/"), SchedulerConfig()
-    reading = (
-        {"publishing_ms": config.publishing_ms}
-        if mode == "subscribe"
-        else {"poll_ms": config.poll_ms}
-    )
+    config = demo_peer("opc.tcp://127.0.0.1:1/")
+    scheduler = SchedulerConfig()
+    if mode == "subscribe":
+        reading = {"publishing_ms": config.publishing_ms}
+    else:
+        reading = {"poll_ms": config.poll_ms}
     return reading | {
         "base_period_ms": scheduler.base_period_ms,
         "publish_slice_ms": scheduler.slices["publish"],
@@ -204,7 +205,8 @@ def run(args: argparse.Namespace) -> list[Result]:
             "latencies_ms": [round(float(value), 3) for value in latencies],
         }
         named = ", ".join(f"{name} {value:g}" for name, value in waits.items())
-        half, whole = sum(waits.values()) / 2, sum(waits.values())
+        half = sum(waits.values()) / 2
+        whole = sum(waits.values())
         for share, reference, what in ((50, half, "half of"), (99, whole, "sum of")):
             value = float(np.percentile(latencies, share))
             name = f"end_to_end{suffix}_p{share}_ms"

@@ -59,7 +59,8 @@ class _Numba:
     """One compiled robot with its arrays, driving a curve."""
 
     def __init__(self, robot: RobotParameters) -> None:
-        self.p, self.x = pack(robot), initial_state(robot)
+        self.p = pack(robot)
+        self.x = initial_state(robot)
         self.u, self.y, self.q = _inputs()
 
     def direct(self, ticks: int) -> None:
@@ -76,12 +77,6 @@ def _inputs() -> tuple[Inputs, Outputs, Status]:
     return u, Outputs.zeros(), Status.zeros()
 
 
-def _block_ns(run: Callable[[int], None], ticks: int) -> float:
-    start_ns = time.perf_counter_ns()
-    run(ticks)
-    return (time.perf_counter_ns() - start_ns) / ticks
-
-
 def run(args: argparse.Namespace) -> list[Result]:
     """Measure and return ``step_ns``, ``step_pointer_ns`` and ``step_all_terms_ns``.
 
@@ -89,10 +84,8 @@ def run(args: argparse.Namespace) -> list[Result]:
     """
     blocks = int(getattr(args, "blocks", None) or BLOCKS)
     ticks = int(getattr(args, "ticks", None) or TICKS_PER_BLOCK)
-    base, extended = (
-        _Numba(RobotParameters()),
-        _Numba(RobotParameters(terms=cases()["everything"])),
-    )
+    base = _Numba(RobotParameters())
+    extended = _Numba(RobotParameters(terms=cases()["everything"]))
     u, y, q = _inputs()
     with tempfile.TemporaryDirectory() as folder:
         library = build(Path(folder))
@@ -108,14 +101,18 @@ def run(args: argparse.Namespace) -> list[Result]:
         samples: dict[str, list[float]] = {name: [] for name in programs}
         for _ in range(blocks):
             for name, program in programs.items():
-                samples[name].append(_block_ns(program, ticks))
+                start_ns = time.perf_counter_ns()
+                program(ticks)
+                tick_ns = (time.perf_counter_ns() - start_ns) / ticks
+                samples[name].append(tick_ns)
         c.close()
     median = {name: statistics.median(values) for name, values in samples.items()}
     command = " ".join(("gcc", *FLAGS))
     raw = {"blocks_ns": samples, "ticks_per_block": ticks, "c": command}
 
     def result(name: str, program: str) -> Result:
-        value, reference = median[program], median["c"]
+        value = median[program]
+        reference = median["c"]
         return Result(
             name, value, "ns", reference, "C, terms off", value / reference, raw
         )

@@ -43,7 +43,8 @@ def run(args: argparse.Namespace) -> int:
 
 def describe(assembly: Assembly) -> list[str]:
     """Return what a configuration means, in sentences."""
-    config, robot = assembly.config, assembly.robot
+    config = assembly.config
+    robot = assembly.robot
     scheduler = config.scheduler
     lines = [
         f"configuration: {assembly.path or 'built-in defaults'} (sha256 {config.sha256[:12]})",
@@ -73,11 +74,13 @@ def describe(assembly: Assembly) -> list[str]:
     lines.append(config.after_reset)
     lines.append(f"OPC UA: {config.opcua.endpoint if config.opcua.enabled else 'off'}")
     metrics = config.metrics
-    address = (
-        f"http://{metrics.host}:{metrics.port}/metrics" if metrics.enabled else "off"
-    )
+    if metrics.enabled:
+        address = f"http://{metrics.host}:{metrics.port}/metrics"
+    else:
+        address = "off"
     lines.append(f"metrics: {address}")
-    page, foxglove = config.page, config.foxglove
+    page = config.page
+    foxglove = config.foxglove
     scheme = "https" if page.tls else "http"
     lines.append(
         f"page: {f'{scheme}://{page.host}:{page.port}/' if page.enabled else 'off'}"
@@ -114,7 +117,8 @@ def warnings(assembly: Assembly) -> list[str]:
 
 
 def _idle_peers(assembly: Assembly) -> list[str]:
-    config, table = assembly.config, assembly.table
+    config = assembly.config
+    table = assembly.table
     driving = [
         link for link in config.links if link.drives and link.driver.kind == "peer"
     ]

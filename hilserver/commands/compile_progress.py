@@ -34,11 +34,13 @@ class CompileProgress:
 
         folders = cache.shelf().folder, cache.supplied().folder
         present = sum(1 for folder in folders for _ in folder.glob("*.nbc"))
-        expected, pace_s = FUNCTIONS, math.inf
+        expected = FUNCTIONS
+        pace_s = math.inf
         kept = Shelf("compiling").get(_KEPT_AS)
         if kept is not None:
             last = json.loads(kept)
-            expected, pace_s = last["functions"], last["s"] / last["functions"]
+            expected = last["functions"]
+            pace_s = last["s"] / last["functions"]
         now_s = time.monotonic()
         return cls(
             None if present > FIRST_ESTIMATE_AFTER else expected,
@@ -73,9 +75,9 @@ class CompileProgress:
         text = f"compiling: {self.count} of about {max(self.count, self.expected)} functions"
         if not left:
             return f"{text}, almost done"
-        return (
-            text if math.isinf(pace_s) else f"{text}, {_duration(left * pace_s)} left"
-        )
+        if math.isinf(pace_s):
+            return text
+        return f"{text}, {_duration(left * pace_s)} left"
 
     def ended(self) -> str:
         """Return how much it was; remember it for the next time, if it was all of a robot."""
@@ -88,4 +90,6 @@ class CompileProgress:
 
 def _duration(s: float) -> str:
     whole = math.ceil(s)
-    return f"{whole} s" if whole < 60 else f"{whole // 60} min {whole % 60} s"
+    if whole < 60:
+        return f"{whole} s"
+    return f"{whole // 60} min {whole % 60} s"

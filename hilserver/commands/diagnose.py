@@ -358,7 +358,8 @@ def _each(args: argparse.Namespace) -> int:
     )
     tasks = [_absolute(replace(one, logs=(log,))) for log in args.logs]
     folders = _folders(args.logs)
-    code, done = EXIT_DONE, 0
+    code = EXIT_DONE
+    done = 0
 
     def stopped() -> str:
         return f"stopped after {done} of {len(tasks)} logs; their reports are kept"
@@ -392,8 +393,10 @@ def _folders(logs: list[Path]) -> list[str]:
     """Return a folder name for every log: its stem, numbered where two are equal."""
     names: list[str] = []
     for log in logs:
-        name, number = log.stem, 2
+        name = log.stem
+        number = 2
         while name in names:
-            name, number = f"{log.stem}-{number}", number + 1
+            name = f"{log.stem}-{number}"
+            number = number + 1
         names.append(name)
     return names

@@ -102,7 +102,8 @@ def run(args: argparse.Namespace) -> int:
 
     spans = []
     for span, one, course in zip(log.spans, series, courses, strict=True):
-        estimate, covariance = course.estimate, course.covariance
+        estimate = course.estimate
+        covariance = course.covariance
         known = np.flatnonzero(course.shown[:, STATE] > 0.0)
         if args.smooth and len(known):
             estimate, covariance = smooth(p, c, one, course, int(known[0]))

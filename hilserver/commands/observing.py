@@ -177,7 +177,9 @@ def sentences(p: Parameters, given: Array, c: Array, spans: Sequence[Observed]) 
 
 
 def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values * values))) if values.size else math.nan
+    if values.size:
+        return float(np.sqrt(np.mean(values * values)))
+    return math.nan
 
 
 def path_picture(p: Parameters, c: Array, spans: Sequence[Observed]) -> str:

@@ -20,8 +20,11 @@ def page_setup(
     assembly: Assembly, image: str, endpoint: str, secret: str = ""
 ) -> Setup:
     """Return what a page of this robot has to know."""
-    config, folder, robot = assembly.config, assembly.folder, assembly.robot
-    tof, opcua = robot.tof, config.opcua
+    config = assembly.config
+    folder = assembly.folder
+    robot = assembly.robot
+    tof = robot.tof
+    opcua = config.opcua
     paths = config.folders.model_dump() | {"snapshots": config.snapshots.folder}
     walls = assembly.composition.hall.reshape(-1, 4).tolist()
     return Setup(

@@ -26,7 +26,9 @@ def patch_of(args: argparse.Namespace) -> Patch | None:
     ConfigError if it cannot be used, or if a group is named without a patch.
     """
     _check(args)
-    return None if args.patch is None else load_patch(args.patch, args.group)
+    if args.patch is None:
+        return None
+    return load_patch(args.patch, args.group)
 
 
 def _check(args: argparse.Namespace) -> None:

@@ -136,14 +136,15 @@ class _Replay:
     """One replay from start to end."""
 
     def __init__(self, args: argparse.Namespace, log: Log, assembly: Assembly) -> None:
-        self._args, self._log, self._assembly = args, log, assembly
+        self._args = args
+        self._log = log
+        self._assembly = assembly
         self._exact = log.is_ours and not args.as_inputs
         between_s = tuple(args.between or (0.0, LONGEST_S))
-        self._judge = (
-            None
-            if args.require is None
-            else DriveJudge(assembly, args.require, between_s)
-        )
+        if args.require is None:
+            self._judge = None
+        else:
+            self._judge = DriveJudge(assembly, args.require, between_s)
         if args.start is not None and not self._exact:
             raise LogError(
                 f"{log.path}: a snapshot only fits a recording of the same run"
@@ -174,24 +175,15 @@ class _Replay:
         return code if is_met else EXIT_FAILED
 
     def _plan(self, engine: Engine) -> Plan:
-        log, assembly = self._log, self._assembly
+        log = self._log
+        assembly = self._assembly
         if not self._exact:
             return plan_inputs(log, engine.table, assembly.base_period_ns)
         for why in (log.run or {}).get("not_replayable", ()):
             raise LogError(
                 f"{log.path}: is not replayable: {why}; replay its set-points with --as-inputs"
             )
-        self._check_patch()
-        identity = (log.run or {}).get("identity", {})
-        start = None if self._args.start is None else self._snapshot(engine)
-        for state in (start,) if start is not None else log.states:
-            engine.check(str(log.path), identity, state.words)
-        return plan_exact(
-            log, engine.table, engine.image.layout, assembly.base_period_ns, start
-        )
-
-    def _check_patch(self) -> None:
-        """Refuse another patch: a recording's states contain the parameters of its run."""
+        # A recording's states contain the parameters of its run.
         recorded = (self._log.run or {}).get("patch") or {}
         named = self._assembly.patch
         if (
@@ -203,6 +195,13 @@ class _Replay:
                 f"{self._log.path}: was recorded with {'another' if recorded else 'no'} patch;"
                 " leave --patch out, or replay its set-points with --as-inputs"
             )
+        identity = (log.run or {}).get("identity", {})
+        start = None if self._args.start is None else self._snapshot(engine)
+        for state in (start,) if start is not None else log.states:
+            engine.check(str(log.path), identity, state.words)
+        return plan_exact(
+            log, engine.table, engine.image.layout, assembly.base_period_ns, start
+        )
 
     def _snapshot(self, engine: Engine) -> RecordedState:
         path = self._args.start

@@ -78,7 +78,11 @@ def run(args: argparse.Namespace) -> int:
     takes a third of the start.
     """
     if args.scenario_schema is not None:
-        return _write_schema(args.scenario_schema)
+        from hilserver.config.section import schema_text  # noqa: PLC0415
+        from hilserver.faults.scenario import Scenario  # noqa: PLC0415
+
+        write_text(args.scenario_schema, schema_text(Scenario))
+        return EXIT_DONE
     image, line_format = _peek(config_path(args))
     # At a terminal a hang-up is the end; elsewhere it asks for a reload.
     is_terminal = sys.stderr.isatty()
@@ -90,7 +94,15 @@ def run(args: argparse.Namespace) -> int:
         guard.say = announcer.last_words
         announcer.starting()
         try:
-            _check_free(image, config_path(args))
+            # A mistake in the file is worth more than that the image is taken.
+            path = config_path(args)
+            try:
+                check_free(image)
+            except FailedError:
+                from hilserver.config.root import load_config  # noqa: PLC0415
+
+                load_config(path)
+                raise
             from hilserver.commands import compiled_start  # noqa: PLC0415
             from hilserver.program import compiling  # noqa: PLC0415
 
@@ -122,32 +134,14 @@ def _collector_off() -> Iterator[None]:
             gc.enable()
 
 
-def _check_free(image: str, path: Path | None) -> None:
-    """Raise if another daemon has this image, but report a mistake in the file first."""
-    try:
-        check_free(image)
-    except FailedError:
-        from hilserver.config.root import load_config  # noqa: PLC0415
-
-        load_config(path)
-        raise
-
-
-def _write_schema(path: Path) -> int:
-    from hilserver.config.section import schema_text  # noqa: PLC0415
-    from hilserver.faults.scenario import Scenario  # noqa: PLC0415
-
-    write_text(path, schema_text(Scenario))
-    return EXIT_DONE
-
-
 def _peek(path: Path | None) -> tuple[str, str]:
     """Return ``image.name`` and ``logging.format`` of a file that is not checked yet."""
     found = {"image": {"name": DEFAULT_IMAGE}, "logging": {"format": "auto"}}
     with contextlib.suppress(Exception):  # its later check explains what is wrong
-        content = (
-            {} if path is None else yaml.safe_load(read_small(path).decode("utf-8"))
-        )
+        if path is None:
+            content = {}
+        else:
+            content = yaml.safe_load(read_small(path).decode("utf-8"))
         for name, section in found.items():
             given = content.get(name) if isinstance(content, dict) else None
             found[name] = section | (given if isinstance(given, dict) else {})

@@ -44,11 +44,10 @@ _log = structlog.get_logger(__name__)
 
 def serve(args: argparse.Namespace, guard: Guard, announcer: Announcer) -> int:
     """Run the daemon of a command line; return the exit code."""
-    play = (
-        None
-        if args.scenario is None
-        else Play(load_scenario(args.scenario), args.scenario)
-    )
+    if args.scenario is None:
+        play = None
+    else:
+        play = Play(load_scenario(args.scenario), args.scenario)
     assembly = _recorded(assembled(args), args.record)
     run = Run(assembly, args.duration, play, announcer, guard)
     validate(assembly)  # what it says of certificates has the form of the log
@@ -89,8 +88,12 @@ class Run:
         announcer: Announcer,
         guard: Guard,
     ) -> None:
-        self._assembly, self._announcer, self._guard = assembly, announcer, guard
-        self._duration_s, self._play, self._page_moved = duration_s, play, ""
+        self._assembly = assembly
+        self._announcer = announcer
+        self._guard = guard
+        self._duration_s = duration_s
+        self._play = play
+        self._page_moved = ""
         logging = assembly.config.logging
         self._limiter = setup_logging(
             logging.level, logging.format, logging.repeat_window_s, announcer.out

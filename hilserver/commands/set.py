@@ -32,7 +32,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write; return 0 once the daemon has accepted all values."""
-    values = _values(args.values)
+    values: dict[str, Any] = {}
+    for text in args.values:
+        if text.startswith("{"):
+            values |= from_json(text)
+            continue
+        named, equals, value = text.partition("=")
+        if not equals:
+            raise UsageError(
+                f"'{text}': write SIGNAL=VALUE, or a JSON object in single quotes"
+            )
+        given = from_json(value)
+        is_null = given is None and named.startswith(PARAMETERS)
+        values[named] = math.nan if is_null else given
     names = [SOURCE, *(signal.name for signal in robot_table(Ranges(1.0, 1.0, 1.0)))]
     parameters = [name for name in values if name.startswith(PARAMETERS)]
     if parameters:
@@ -57,20 +69,3 @@ def _number(parameter: "Parameter", value: Any) -> Any:
     known = {name: number for name, number in parameter.names if not math.isnan(number)}
     word = str(value).lower() if isinstance(value, bool) else value
     return known.get(word, value) if isinstance(word, str) else value
-
-
-def _values(texts: list[str]) -> dict[str, Any]:
-    values: dict[str, Any] = {}
-    for text in texts:
-        if text.startswith("{"):
-            values |= from_json(text)
-            continue
-        name, equals, value = text.partition("=")
-        if not equals:
-            raise UsageError(
-                f"'{text}': write SIGNAL=VALUE, or a JSON object in single quotes"
-            )
-        given = from_json(value)
-        is_null = given is None and name.startswith(PARAMETERS)
-        values[name] = math.nan if is_null else given
-    return values

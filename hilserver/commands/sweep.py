@@ -149,9 +149,11 @@ def _drive(
     args: argparse.Namespace,
     progress: Progress,
 ) -> None:
-    job, n = prepared.job, prepared.sweep.machines
+    job = prepared.job
+    n = prepared.sweep.machines
     left = (index for index in range(n) if index not in journal.done)
-    began_s, before = time.monotonic(), len(journal.done)
+    began_s = time.monotonic()
+    before = len(journal.done)
     if before >= n:
         return
     memory_mb = job.sweep.limits.memory_mb
@@ -163,7 +165,8 @@ def _drive(
         found = outcomes(job, map(prepared.machine, left), workers, mixed=args.mixed)
         for computer, batch in found:
             journal.add(batch, computer)
-            done, passed_s = len(journal.done), time.monotonic() - began_s
+            done = len(journal.done)
+            passed_s = time.monotonic() - began_s
             a_minute = 60.0 * (done - before) / max(passed_s, 1e-3)
             rest_s = 60.0 * (n - done) / max(a_minute, 1e-3)
             text = (

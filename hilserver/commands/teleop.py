@@ -143,7 +143,9 @@ class KeyDriver:
     ) -> None:
         self.ended = asyncio.Event()  # the user wants to end
         self.complaint_ends = ""  # why driving ended by itself
-        self._hand, self._hold, self._reader = hand, Hold(), KeyReader()
+        self._hand = hand
+        self._hold = Hold()
+        self._reader = KeyReader()
         self._fastest = fastest  # by axis; 0: it cannot go that way, as it will say
         self._sizes = self._possible(
             {"linear": speed_m_s, "turn": turn_rad_s, "lateral": speed_m_s}

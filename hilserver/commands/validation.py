@@ -13,7 +13,8 @@ def validate(assembly: Assembly) -> None:
     ConfigError has file, line and key of the configuration, and what to do.
     """
     check_sound(assembly)
-    config, folder = assembly.config, assembly.folder
+    config = assembly.config
+    folder = assembly.folder
     if config.opcua.enabled and config.opcua.needs_certificate:
         with assembly.at("opcua"):
             own_certificate(config.opcua, folder)

@@ -197,7 +197,8 @@ class WheelCheck:
             if looked_s > end_s:
                 return False
             await asyncio.sleep(LOOK_S)
-            before_s, looked_s = looked_s, time.monotonic()
+            before_s = looked_s
+            looked_s = time.monotonic()
             if looked_s - before_s > LATE_LOOK_S:
                 self._busy_s += looked_s - before_s - LOOK_S
         return True
@@ -206,11 +207,10 @@ class WheelCheck:
         wanted_rpm = self._speed_rpm if wheel.endswith("l") else -self._speed_rpm
         wanted = f"{wheel} {wanted_rpm:+g} rpm"
         if not await self._wait(self._moving, self._timeout_s):
-            why = (
-                ""
-                if self._peer.status.connected
-                else f", peer: {self._peer.status.last_error}"
-            )
+            if self._peer.status.connected:
+                why = ""
+            else:
+                why = f", peer: {self._peer.status.last_error}"
             return WheelFinding(wheel, "nothing", wanted, f"no input moved{why}")
         steady = moving = self._moving()
 
@@ -253,13 +253,15 @@ class WheelCheck:
             )
 
         found = await self._wait(is_stale, limit_ms * 1e-3 + 5.0)
-        took_ms, busy_ms = (time.monotonic() - start_s) * 1e3, self._busy_s * 1e3
+        took_ms = (time.monotonic() - start_s) * 1e3
+        busy_ms = self._busy_s * 1e3
         self._daemon.faults.clear()
         if not found:
             return WheelFinding(
                 "stale", "never", wanted, "the inputs stay Good after the link is cut"
             )
-        arrived, late_ms = f"{took_ms:.0f} ms", STALE_TOLERANCE_MS
+        arrived = f"{took_ms:.0f} ms"
+        late_ms = STALE_TOLERANCE_MS
         if took_ms > limit_ms + late_ms and busy_ms:
             late_ms += busy_ms
             arrived += f", this computer was busy for {busy_ms:.0f} ms of them"

@@ -112,8 +112,10 @@ def compare(
     LogError
         If they have no signal or no row in common, or a pattern fits no signal.
     """
-    first, second = Rows(a), Rows(b)
-    head_a, head_b = first.advance(), second.advance()
+    first = Rows(a)
+    second = Rows(b)
+    head_a = first.advance()
+    head_b = second.advance()
     if head_a is None or head_b is None:
         empty = "first" if head_a is None else "second"
         raise LogError(

@@ -40,7 +40,10 @@ def as_text(found: RecordingComparison) -> str:
 
 def _listed(texts: Sequence[str], between: str) -> str:
     """Join the first ones; say how many there are beyond them."""
-    more = [f"  and {len(texts) - _MOST} more"] if len(texts) > _MOST else []
+    if len(texts) > _MOST:
+        more = [f"  and {len(texts) - _MOST} more"]
+    else:
+        more = []
     return between.join([*texts[:_MOST], *more])
 
 

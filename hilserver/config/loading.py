@@ -117,7 +117,8 @@ def placed(path: Path | None, location: Path_) -> Iterator[None]:
 
 
 def _parse(path: Path, most_bytes: int = MAX_BYTES) -> yaml.Node | None:
-    content, depth = _read(path, most_bytes), 0
+    content = _read(path, most_bytes)
+    depth = 0
     try:
         text = content.decode("utf-8")
         # Check the depth by events first, which come one by one: composing is recursive.
@@ -133,11 +134,10 @@ def _parse(path: Path, most_bytes: int = MAX_BYTES) -> yaml.Node | None:
             f"{path}:{line}: byte {error.start} is not UTF-8; save it as UTF-8"
         ) from None
     except yaml.MarkedYAMLError as error:
-        hint = (
-            "; indent with spaces, not with tabs"
-            if "'\\t'" in str(error.problem)
-            else ""
-        )
+        if "'\\t'" in str(error.problem):
+            hint = "; indent with spaces, not with tabs"
+        else:
+            hint = ""
         raise _wrong(
             path, error.problem_mark, f"not YAML: {error.problem}{hint}"
         ) from None
@@ -208,11 +208,10 @@ def _construct(path: Path, root: yaml.Node | None) -> Any:
     except _UNREADABLE as error:
         node = next(node for node, _ in _walk(root) if not _is_readable(node))
         kind = node.tag.rpartition(":")[2]
-        why = (
-            error
-            if isinstance(error, ValueError)
-            else f"{node.value!r:.60} is not type {kind}"
-        )
+        if isinstance(error, ValueError):
+            why = str(error)
+        else:
+            why = f"{node.value!r:.60} is not type {kind}"
         raise _wrong(path, node.start_mark, f"a value cannot be read: {why}") from None
     return {} if found is None else found
 
@@ -293,11 +292,10 @@ def _mistyped(
             )
     elif isinstance(data, dict):
         for key, value in data.items():
-            inner = (
-                result.get(key, _RENAMED)
-                if isinstance(result, Mapping)
-                else getattr(result, key, _RENAMED)
-            )
+            if isinstance(result, Mapping):
+                inner = result.get(key, _RENAMED)
+            else:
+                inner = getattr(result, key, _RENAMED)
             if inner is not _RENAMED:  # by a validator
                 yield from _mistyped(value, inner, (*at, key))
     elif isinstance(data, list) and isinstance(result, Sequence):
@@ -307,13 +305,15 @@ def _mistyped(
 
 def _line(root: yaml.Node | None, location: Path_) -> int:
     """Return the line of the deepest key of `location` that the file has."""
-    line, node = 1, root
+    line = 1
+    node = root
     for part in location:
         if isinstance(node, yaml.MappingNode):
             found = [(k, v) for k, v in node.value if k.value == str(part)]
             if not found:
                 return line
-            line, node = found[0][0].start_mark.line + 1, found[0][1]
+            line = found[0][0].start_mark.line + 1
+            node = found[0][1]
         elif isinstance(node, yaml.SequenceNode) and isinstance(part, int):
             if part >= len(node.value):  # added by a sweep, from another file
                 return line
@@ -343,14 +343,17 @@ def _is_echo(error: Any) -> bool:
 
 
 def _sentence(model: type[BaseModel], error: Any) -> str:
-    location, kind = error["loc"], error["type"]
+    location = error["loc"]
+    kind = error["type"]
     key = _key(location)
     if kind == "extra_forbidden":
-        known, name = _keys_at(model, location[:-1]), str(location[-1])
+        known = _keys_at(model, location[:-1])
+        name = str(location[-1])
         places = [f"'{place}'" for place in _places_of(model, name)]
-        belongs = (
-            f"did you mean {' or '.join(places)}?" if len(places) in (1, 2) else ""
-        )
+        if len(places) in (1, 2):
+            belongs = f"did you mean {' or '.join(places)}?"
+        else:
+            belongs = ""
         hint = meant(name, known, belongs or f"known are {', '.join(sorted(known))}")
         return f"unknown key '{key}'; {hint}"
     if kind == "missing":

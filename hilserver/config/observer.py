@@ -69,7 +69,10 @@ class _Noise(_FindingsPart):
     def as_noise(self) -> MeasuredNoise:
         """Return the noise figures; tails are part of the variance."""
         dof = self.tail_dof
-        wider = (dof / (dof - 2.0)) ** 0.5 if dof is not None and dof > 2.0 else 1.0
+        if dof is not None and dof > 2.0:
+            wider = (dof / (dof - 2.0)) ** 0.5
+        else:
+            wider = 1.0
         return MeasuredNoise(
             self.white_sd * wider, self.ou_sd, self.ou_tau_s or 1.0, self.step or 0.0
         )

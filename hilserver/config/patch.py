@@ -158,11 +158,9 @@ class ModelPatch(Section):
 
     def terms_of(self, group: str | None) -> dict[str, PatchTerm]:
         """Return the terms shared by all groups, and those of one group."""
-        return (
-            self.terms
-            if group is None
-            else {**self.terms, **(self.groups or {})[group]}
-        )
+        if group is None:
+            return self.terms
+        return {**self.terms, **(self.groups or {})[group]}
 
 
 @dataclass(frozen=True)
@@ -241,11 +239,11 @@ class Patch:
     def refusal(self, entry: str, message: str) -> ConfigError:
         """Return the error for a complaint about one entry: file, line, key."""
         section = "parameters" if entry in self.model.parameters else "terms"
-        where = (
-            ("groups", self.group or "", entry)
-            if entry in self.of_group
-            else (section, entry)
-        )
+        where: tuple[str, ...]
+        if entry in self.of_group:
+            where = ("groups", self.group or "", entry)
+        else:
+            where = (section, entry)
         return ConfigError(place(self.path, where) + message)
 
     def notice(self, config_sha256: str) -> str | None:
@@ -286,8 +284,6 @@ def patch_of(run: Mapping[str, Any]) -> Patch | None:
     ValueError if it is not one of this version.
     """
     recorded = run.get("patch")
-    return (
-        None
-        if recorded is None
-        else Patch(ModelPatch.model_validate(recorded["content"]))
-    )
+    if recorded is None:
+        return None
+    return Patch(ModelPatch.model_validate(recorded["content"]))

@@ -75,10 +75,13 @@ class PeerSecurity(Section):
     @property
     def about(self) -> str:
         """How the link is protected, and the user name we log in with."""
-        how = (
-            f"{self.policy} {self.effective_mode}" if self.is_secure else "policy None"
-        )
-        return how if self.user is None else f"{how}, as user '{self.user}'"
+        if self.is_secure:
+            how = f"{self.policy} {self.effective_mode}"
+        else:
+            how = "policy None"
+        if self.user is None:
+            return how
+        return f"{how}, as user '{self.user}'"
 
     @model_validator(mode="after")
     def _only_what_acts(self) -> "PeerSecurity":

@@ -225,13 +225,17 @@ class PeerConfig(LinkSection):
     @property
     def counter(self) -> str | None:
         """Address of the peer's counter."""
-        return self.heartbeat.read[0] if self.heartbeat.read else self.sequence_node
+        if self.heartbeat.read:
+            return self.heartbeat.read[0]
+        return self.sequence_node
 
     @property
     def counter_modulus(self) -> int:
         """Modulus at which the peer's counter wraps."""
         pair = self.heartbeat.read
-        return 2**32 if pair is None else 1 << 8 * s7.Address.parse(pair[0]).place.size
+        if pair is None:
+            return 2**32
+        return 1 << 8 * s7.Address.parse(pair[0]).place.size
 
     @property
     def blocks(self) -> tuple[s7_peer.Block | None, s7_peer.Block | None]:

@@ -152,11 +152,10 @@ class Config(Section):
         automatic = ", ".join(kind for kind in self.sources if kind in AUTOMATIC)
         if self.waits_for_start:
             return f"after a Stop: Reset, then Start lets {automatic} drive (control.after_reset)"
-        why = (
-            "control.after_reset"
-            if self.control.after_reset == "continue"
-            else "virtual time"
-        )
+        if self.control.after_reset == "continue":
+            why = "control.after_reset"
+        else:
+            why = "virtual time"
         return f"after a Stop: {automatic} drive on after Reset, without Start ({why}: continue)"
 
     @property

@@ -247,13 +247,13 @@ class Ros2Config(LinkSection):
             both = [name for name in names if self.full_name(name) in theirs]
             if not both:
                 continue
-            name, full = both[0], self.full_name(both[0])
+            name = both[0]
+            full = self.full_name(both[0])
             is_moved = name in self.topics or name.startswith("/")
-            way = (
-                f"ros2.topics: {{{name}: /sim{full}}}"
-                if is_moved
-                else "ros2.namespace: /sim"
-            )
+            if is_moved:
+                way = f"ros2.topics: {{{name}: /sim{full}}}"
+            else:
+                way = "ros2.namespace: /sim"
             if not theirs[full].startswith("/"):
                 way += ", or ros2.measured.namespace to that of the real robot"
             raise ValueError(
@@ -264,14 +264,16 @@ class Ros2Config(LinkSection):
     @property
     def published(self) -> list[Published]:
         """What the simulated robot writes over and over."""
-        flavour, asked = FLAVOURS[self.flavour], self.publish.model_dump()
+        flavour = FLAVOURS[self.flavour]
+        asked = self.publish.model_dump()
         extras = [topic for name, topic in flavour.extras.items() if asked[name]]
         return list(dict.fromkeys((*flavour.published, *extras)))
 
     @property
     def driver(self) -> Driver:
         """The host."""
-        limit_ms, lapse = self.stale_after_ms, "ramp" if self.action == "hold" else ""
+        limit_ms = self.stale_after_ms
+        lapse = "ramp" if self.action == "hold" else ""
         who = ("ros2", "ros2", "the ROS 2 host")
         return Driver(*who, limit_ms, self.action, self.enabled, lapse=lapse)
 
@@ -317,4 +319,6 @@ class Ros2Config(LinkSection):
 
 
 def _absolute(name: str, space: str) -> str:
-    return name if name.startswith("/") else re.sub("/+", "/", f"/{space}/{name}")
+    if name.startswith("/"):
+        return name
+    return re.sub("/+", "/", f"/{space}/{name}")

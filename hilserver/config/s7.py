@@ -84,9 +84,10 @@ class BlockPlace:
                 f"at '{at}': write the byte, and for a BOOL byte.bit, as 6.1"
             )
         if (kind == "BOOL") != bool(bit):
-            what = (
-                "a BOOL has a bit, as 6.1" if kind == "BOOL" else f"a {kind} has no bit"
-            )
+            if kind == "BOOL":
+                what = "a BOOL has a bit, as 6.1"
+            else:
+                what = f"a {kind} has no bit"
             raise ValueError(f"at '{at}': {what}")
         place = cls(kind, int(byte), int(bit or 0))
         if place.size > 1 and place.byte % 2:

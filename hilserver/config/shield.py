@@ -75,7 +75,9 @@ class ShieldConfig(LinkSection):
 
     def about(self, folder: Path) -> str:
         """Return the serial line."""
-        return str(self.device or folder / self.link) if self.enabled else ""
+        if self.enabled:
+            return str(self.device or folder / self.link)
+        return ""
 
     @property
     def wheels(self) -> tuple[str, ...]:

@@ -53,7 +53,9 @@ class PoseWatch:
             self._stamp = stamp
         numbers = [v for v in values if isinstance(v, int | float) and math.isfinite(v)]
         fresh = now_s - self._seen_s <= self.stale_s
-        return Pose(*map(float, numbers)) if fresh and len(numbers) == 3 else None
+        if fresh and len(numbers) == 3:
+            return Pose(*map(float, numbers))
+        return None
 
 
 @dataclass(slots=True)

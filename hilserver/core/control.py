@@ -99,11 +99,10 @@ class Control:
         self.reason = reason
         self._image.control.state = state
         if state is State.SAFE:
-            way_out = (
-                "call Reset once this has cleared"
-                if self._causes
-                else "call Reset to resume"
-            )
+            if self._causes:
+                way_out = "call Reset once this has cleared"
+            else:
+                way_out = "call Reset to resume"
             text = f"{reason}; {way_out}"
             self._events.publish(Event(EventKind.SAFE_STATE, 800, "daemon", text))
         else:

@@ -105,7 +105,9 @@ class HandOver:
         priority: Sequence[str],
         fallback: str,
     ) -> None:
-        self.owner, self.leases, self.priority = owner, leases, tuple(priority)
+        self.owner = owner
+        self.leases = leases
+        self.priority = tuple(priority)
         self.may_fall_back = True
         self.present: set[object] = set()
         # client that wrote each set-point last: the value ends with it; None: it stays
@@ -188,7 +190,8 @@ class HandOver:
     def _standing(self, kind: str) -> Standing:
         if kind == self.owner:
             return Standing.ITSELF
-        order, owner = self.priority, self.owner
+        order = self.priority
+        owner = self.owner
         is_above = kind in order and (
             owner not in order or order.index(kind) <= order.index(owner)
         )
@@ -240,7 +243,8 @@ class HandOver:
         return True
 
     def _fall_back(self, why: str) -> None:
-        gone, before = self.owner, self._before
+        gone = self.owner
+        before = self._before
         kind = before if self._fallback == "before" and self.may_fall_back else NOBODY
         self.take(kind)
         who = "nobody drives" if kind == NOBODY else f"'{kind}' drives again"
@@ -256,4 +260,6 @@ class HandOver:
             return []
         before = self._speaker
         self._speaker = source
-        return [] if before in ("", source) else [self.leases.hand_over(kind)]
+        if before in ("", source):
+            return []
+        return [self.leases.hand_over(kind)]

@@ -88,7 +88,8 @@ class InputGate(HandOver):
             self.rejected.update({(source, reason.value): 0 for reason in reasons})
         self._table = table
         self._now_ns = monotonic_ns
-        self._ended_ns, self._rest = 0, Rest()
+        self._ended_ns = 0
+        self._rest = Rest()
         self.interlock = Interlock(table, image, must_wait=waits_for_start)
         self._last_ns: dict[str, int] = {}
         self._newest: dict[int, tuple[str, float]] = {}
@@ -247,9 +248,9 @@ class InputGate(HandOver):
         """
         if not signal.is_measured and kind_of(source) not in OFFERING:
             is_beside = source in self._doors and kind_of(source) == self.owner
-            return (
-                self.owner if is_beside and self._is_driven_by_a_person(source) else ""
-            )
+            if is_beside and self._is_driven_by_a_person(source):
+                return self.owner
+            return ""
         for slot in signal.slots:
             writer, last_ns = self._writing.get(slot, ("", 0))
             if writer in ("", source) or writer in self._silent:
@@ -395,11 +396,10 @@ class InputGate(HandOver):
             return f"outside {self._table[name].range_text}"
         if reason is Refusal.TYPE_MISMATCH:
             signal = self._table[name]
-            wanted = (
-                f"{len(signal.slots)} values of type"
-                if signal.is_array
-                else "a value of type"
-            )
+            if signal.is_array:
+                wanted = f"{len(signal.slots)} values of type"
+            else:
+                wanted = "a value of type"
             return f"{wanted} {signal.type} expected"
         return reason.value.replace("_", " ")
 

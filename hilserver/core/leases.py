@@ -71,9 +71,10 @@ class Leases:
 
     def limit(self, source: str, limit_ms: float | None) -> None:
         """Change how long a command of `source` holds."""
-        self._lease(source).limit = (
-            0 if limit_ms is None else max(1, round(limit_ms * 1e6))
-        )
+        if limit_ms is None:
+            self._lease(source).limit = 0
+        else:
+            self._lease(source).limit = max(1, round(limit_ms * 1e6))
 
     def limit_ms(self, source: str) -> float | None:
         """Return how long a command of `source` holds, None if for ever."""
@@ -101,7 +102,9 @@ class Leases:
         places = self._places
         place = places.get(source) or places.get(shared) or places.get(kind_of(source))
         age_ns = max(self.now_ns() - came_ns, 0)
-        return [] if place is None else [Row(self._slot(place), float(age_ns))]
+        if place is None:
+            return []
+        return [Row(self._slot(place), float(age_ns))]
 
     def hand_over(self, kind: str) -> Row:
         """Return the row that gives control to the sources of `kind`."""

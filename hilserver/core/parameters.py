@@ -164,9 +164,10 @@ class LiveParameters:
         """
         own = {n: v for n, v in values.items() if n.startswith(BLOCK)}
         plant = {n: v for n, v in values.items() if n not in own}
-        robot = (
-            with_values(self._robot, plant, self._geometric) if plant else self._robot
-        )
+        if plant:
+            robot = with_values(self._robot, plant, self._geometric)
+        else:
+            robot = self._robot
         composition = replace(
             self._composition,
             parameters=pack(robot),

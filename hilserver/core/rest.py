@@ -74,7 +74,8 @@ class Interlock:
     ) -> None:
         self.must_wait = must_wait
         self.waits = False
-        self._image, self._slot = image, table.slot(WAITS)
+        self._image = image
+        self._slot = table.slot(WAITS)
 
     def holds(self, kind: str) -> bool:
         """Whether sources of this kind wait now; their leases must not run meanwhile."""

@@ -199,7 +199,9 @@ class SnapshotStore:
 
 def _short(value: Any) -> str:
     text = json.dumps(value)
-    return text if len(text) <= 40 else text[:37] + "..."
+    if len(text) <= 40:
+        return text
+    return text[:37] + "..."
 
 
 def _write(path: Path, state: NDArray[np.int64], meta: dict[str, Any]) -> None:

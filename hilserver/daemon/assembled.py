@@ -50,7 +50,9 @@ class Assembly:
     @property
     def folder(self) -> Path:
         """Folder that relative paths of the configuration start from."""
-        return Path.cwd() if self.path is None else self.path.resolve().parent
+        if self.path is None:
+            return Path.cwd()
+        return self.path.resolve().parent
 
     @property
     def body(self) -> BodyParameters:
@@ -94,9 +96,10 @@ class Assembly:
                 *([dict(block.drives)] if block.drives else ()),
             )
             own = block.model
-            source = (
-                block.declaration.source.read_bytes() if own is None else own.identity
-            )
+            if own is None:
+                source = block.declaration.source.read_bytes()
+            else:
+                source = own.identity
             digest.update(repr(wiring).encode() + source)
         periods = {s.name: s.period_ticks for s in self.slices if s.compiled}
         return {

@@ -98,7 +98,8 @@ class _AssemblyBuilder:
             self._block(i, block, slices) for i, block in enumerate(config.blocks)
         ]
         outputs = [output for block in blocks for output in _outputs(block)]
-        body, p = self._body(robot, periods_s), pack(robot)
+        body = self._body(robot, periods_s)
+        p = pack(robot)
         observer = self._observer(robot, p, slices)
         has = {"body": body is not None, "observer": observer is not None}
         has["samples"] = config.recalibration.enabled
@@ -167,9 +168,10 @@ class _AssemblyBuilder:
     def robot(self, periods_s: Mapping[str, float]) -> RobotParameters:
         """Return the plant of the configuration, with the patch over it."""
         config = self._config
-        plant = (
-            config.plant if self._patch is None else self._patch.applied(config.plant)
-        )
+        if self._patch is None:
+            plant = config.plant
+        else:
+            plant = self._patch.applied(config.plant)
         own = {} if self._patch is None else self._patch.parameters
         try:
             robot = to_parameters(
@@ -239,11 +241,10 @@ class _AssemblyBuilder:
         if not section.enabled:
             return None
         try:
-            found = (
-                None
-                if section.noise is None
-                else load_found(self._folder / section.noise)
-            )
+            if section.noise is None:
+                found = None
+            else:
+                found = load_found(self._folder / section.noise)
         except ConfigError as error:
             raise self._fail(("observer", "noise"), str(error)) from None
         try:

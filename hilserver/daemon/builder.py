@@ -197,7 +197,8 @@ def build(assembly: Assembly, pace: Pace | None = None) -> Core:
 
 
 def _core(assembly: Assembly, pace: Pace, image: ProcessImage) -> Core:
-    config, table = assembly.config, assembly.table
+    config = assembly.config
+    table = assembly.table
     step = compose(assembly.composition, image)
     limit_silence(image, pace.command_limit_ticks)
     tasks = Supervisor()

@@ -38,7 +38,8 @@ class Surroundings:
 
     def content(self) -> dict[str, Any]:
         """Return what the board shows to other processes, in types of JSON."""
-        core, desk = self.core, self.desk
+        core = self.core
+        desk = self.desk
         # The slices, and what the page draws of each
         scheduler = self.core.scheduler
         table = _table(figures.slice_table(scheduler))
@@ -128,4 +129,6 @@ def _finite(row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _number(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -50,7 +50,9 @@ LINKS: tuple[Callable[[World], Iterable[Part]], ...] = (
 
 def make_world(of: Surroundings) -> World:
     """Return what links need of the robot."""
-    core, outputs, desk = of.core, of.outputs, of.desk
+    core = of.core
+    outputs = of.outputs
+    desk = of.desk
     assembly = core.assembly
     parameters = assembly.composition.parameters
     return World(

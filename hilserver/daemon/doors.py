@@ -66,9 +66,9 @@ def _who(config: Config, needed: Role | None) -> str:
     if needed is None:
         return NOBODY
     stranger = config.opcua.anonymous_role
-    return (
-        EVERYONE if stranger is not None and stranger >= needed else needed.name.lower()
-    )
+    if stranger is not None and stranger >= needed:
+        return EVERYONE
+    return needed.name.lower()
 
 
 def table_of_doors(config: Config) -> list[str]:

@@ -16,7 +16,7 @@ from hilserver.errors import ControlRefused
 from hilserver.kernel.fitted import fitted_limits
 from hilserver.parameters import check, named
 from hilserver.plant.errors import PlantError
-from hilserver.program.whole_file import sync_folder
+from hilserver.small_file import sync_folder
 
 MOST_FILES: Final = 100  # patches in the folder: saving them must not fill the disk
 
@@ -47,7 +47,9 @@ class Patches:
     def loaded(self) -> str | None:
         """Name of the file of the loaded patch, or None."""
         patch = self._patch
-        return None if patch is None or patch.path is None else patch.path.name
+        if patch is None or patch.path is None:
+            return None
+        return patch.path.name
 
     @property
     def notice(self) -> str | None:
@@ -87,11 +89,10 @@ class Patches:
         parameters = self._core.parameters
         async with self._lock:
             configured = parameters.configured
-            values = (
-                {}
-                if self._patch is None
-                else {n: configured[n] for n in self._patch.values}
-            )
+            if self._patch is None:
+                values = {}
+            else:
+                values = {n: configured[n] for n in self._patch.values}
             values |= {} if patch is None else self._checked(patch)
             fitted = fitted_limits(None if patch is None else patch.model)
             try:
@@ -111,7 +112,8 @@ class Patches:
 
     def _follow(self) -> None:
         """Forget a patch that is not part of the restored state."""
-        patch, name = self._patch, self.loaded
+        patch = self._patch
+        name = self.loaded
         if patch is not None and not self._core.parameters.hold(self._checked(patch)):
             self._put(None)
             self._tell(300, f"the model patch '{name}' is not part of the loaded state")

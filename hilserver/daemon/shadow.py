@@ -55,11 +55,10 @@ class GapWatch:
                 self._since_ns.pop(channel, None)
                 if channel in self._alarms:
                     self._alarms.remove(channel)
-                    how = (
-                        "is no longer measured"
-                        if gap is None
-                        else "is within its limit again"
-                    )
+                    if gap is None:
+                        how = "is no longer measured"
+                    else:
+                        how = "is within its limit again"
                     self._tell(200, channel, f"model gap: {channel} {how}")
             else:
                 # It exceeds its limit: an alarm when it has done so for long enough.
@@ -107,7 +106,8 @@ def measured_pose(
     if pose is not None or tag is None:
         return pose
     yaw = math.remainder(tag[2] - parameters.nav_frame_yaw, math.tau)
-    lever_x, lever_y = parameters.lever_x, parameters.lever_y
+    lever_x = parameters.lever_x
+    lever_y = parameters.lever_y
     scale = parameters.nav_scale
     cos = math.cos(yaw)
     sin = math.sin(yaw)
@@ -123,4 +123,6 @@ def _fresh(
     if any(frame.status[table.slot(name)] != GOOD for name in names):
         return None
     x, y, yaw = (newest(name) for name in names)
-    return None if x is None or y is None or yaw is None else (x, y, yaw)
+    if x is None or y is None or yaw is None:
+        return None
+    return (x, y, yaw)

@@ -301,7 +301,8 @@ def check_sound(assembly: Assembly) -> None:
 
     ConfigError has one sentence per complaint, with file, line and key.
     """
-    config, table = assembly.config, assembly.table
+    config = assembly.config
+    table = assembly.table
     with assembly.at("blocks"):  # a name or unit may be one that OPC UA cannot show
         address_space(table)
     if config.edge.enabled:

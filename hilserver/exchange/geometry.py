@@ -60,7 +60,8 @@ def for_simulator(
     numbers for the four that turn (v, om) into two wheel speeds, so for unequal radii together
     with another separation a gap remains: the second value, in shares of the turn rate.
     """
-    left, right = true.left_m / base.left_m, true.right_m / base.right_m
+    left = true.left_m / base.left_m
+    right = true.right_m / base.right_m
     turn = base.separation_m / true.separation_m
 
     # speed of each side over the simulated floor, per commanded v and per om separation/2
@@ -69,7 +70,8 @@ def for_simulator(
     left_turn = (left * (1.0 + turn) - right * (1.0 - turn)) / 2.0
     right_turn = (right * (1.0 + turn) - left * (1.0 - turn)) / 2.0
 
-    of_left, of_right = left_turn / left_v, right_turn / right_v
+    of_left = left_turn / left_v
+    of_right = right_turn / right_v
     factor = (of_left + of_right) / 2.0
     # one side turns the body a little more than it should, the other a little less
     gap = abs(of_left - of_right) / 2.0

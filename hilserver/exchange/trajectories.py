@@ -54,13 +54,17 @@ def trajectories_of(log: Log) -> list[Trajectory]:
     A row of the daemon repeats the newest sample of a slower sensor; here it counts once, at the
     time when it was taken.
     """
-    columns, age_s, segment = log.columns, dict[str, Array](), log.segment
+    columns = log.columns
+    age_s = dict[str, Array]()
+    segment = log.segment
     if is_of_the_daemon(log):
         sampling = own_sampling(log)
         measured = {n: v for n, v in columns.items() if n.startswith(MEASURED)}
         own = {n: v for n, v in columns.items() if n not in measured}
         frames = frames_of(replace(log, columns=own), sampling)
-        columns, age_s, segment = frames.columns, dict(frames.age_s), frames.segment
+        columns = frames.columns
+        age_s = dict(frames.age_s)
+        segment = frames.segment
 
         # what came from outside loses its prefix, under which the robot's own stands here
         about = {n: v for n, v in own.items() if n.startswith(("internal.", "sim."))}
@@ -69,7 +73,8 @@ def trajectories_of(log: Log) -> list[Trajectory]:
         age_s |= {MEASURED + n: v for n, v in frames.age_s.items()}
 
     found: list[Trajectory] = []
-    nothing, zero = np.full(len(log), np.nan), np.zeros(len(log))
+    nothing = np.full(len(log), np.nan)
+    zero = np.zeros(len(log))
     for name in [n.removesuffix(".x_m") for n in columns if n.endswith(".x_m")]:
         parts = (f"{name}.{part}" for part in ("x_m", "y_m", "yaw_rad"))
         pose = np.column_stack([columns.get(part, nothing) for part in parts])
@@ -104,9 +109,12 @@ def write_tum(found: Sequence[Trajectory], folder: Path, storage: Storage) -> No
     del storage
     folder.mkdir(parents=True)
     for one in found:
-        half_rad, none = one.pose[:, 2] / 2.0, np.zeros(len(one.t_s))
-        x_m, y_m = one.pose[:, 0], one.pose[:, 1]
-        sin, cos = np.sin(half_rad), np.cos(half_rad)
+        half_rad = one.pose[:, 2] / 2.0
+        none = np.zeros(len(one.t_s))
+        x_m = one.pose[:, 0]
+        y_m = one.pose[:, 1]
+        sin = np.sin(half_rad)
+        cos = np.cos(half_rad)
         rows = np.column_stack([one.t_s, x_m, y_m, none, none, none, sin, cos])
         form = ["%.9f", *["%.17g"] * 7]
         file = folder / f"{_file(one, found)}.tum"
@@ -148,9 +156,12 @@ def write_kitti(found: Sequence[Trajectory], folder: Path, storage: Storage) -> 
     folder.mkdir(parents=True)
     for one in found:
         x_m, y_m, yaw_rad = one.pose.T
-        sin, cos = np.sin(yaw_rad), np.cos(yaw_rad)
-        none, ones = np.zeros(len(one.t_s)), np.ones(len(one.t_s))
-        first, second = (cos, -sin, none, x_m), (sin, cos, none, y_m)
+        sin = np.sin(yaw_rad)
+        cos = np.cos(yaw_rad)
+        none = np.zeros(len(one.t_s))
+        ones = np.ones(len(one.t_s))
+        first = (cos, -sin, none, x_m)
+        second = (sin, cos, none, y_m)
         rows = np.column_stack([*first, *second, none, none, ones, none])
         np.savetxt(folder / f"{_file(one, found)}.kitti", rows, "%.17g")
         times = _file(replace(one, name="times"), found)

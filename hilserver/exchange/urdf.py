@@ -134,7 +134,9 @@ def _pose(path: Path, joint: Xml.Element, joints: dict[str, Xml.Element]) -> Any
             raise ConfigError(
                 f"{path}: its joints form a circle; correct parent and child"
             )
-    place, rotation, swivels = np.zeros(3), np.eye(3), False
+    place = np.zeros(3)
+    rotation = np.eye(3)
+    swivels = False
     for one in chain:
         origin = one.find("origin")
         if origin is not None:

@@ -132,14 +132,17 @@ def _commented(lines: list[str], mark: str = "# ") -> str:
 
 
 def _ros2_control(answer: RobotAnswer) -> dict[str, str]:
-    robot, true = answer.robot, DriveGeometry.of(answer.true)
-    track_m, radius_m = robot.track_m, robot.wheel_radius_m
+    robot = answer.robot
+    true = DriveGeometry.of(answer.true)
+    track_m = robot.track_m
+    radius_m = robot.wheel_radius_m
     simulator, gap = for_simulator(answer.configured, true)
     if robot.is_mecanum:
         # its controller has one radius, for all wheels and both directions
         notes = _not_held(answer, HELD - {"wheel_radius_difference", "traction_slip"})
         gap = abs(true.left_m - true.right_m) / (true.left_m + true.right_m)
-        real_text, simulator_text = mecanum_text(true), mecanum_text(simulator)
+        real_text = mecanum_text(true)
+        simulator_text = mecanum_text(simulator)
     else:
         notes = _not_held(answer)
         real_text = differential_text(true, radius_m, track_m)
@@ -185,7 +188,8 @@ def _quantities(
             "wheels_radius": lambda g: g.radius_m,
             PROJECTION.rpartition(".")[2]: lambda g: g.separation_m / 2.0,
         }
-    track_m, radius_m = robot.track_m, robot.wheel_radius_m
+    track_m = robot.track_m
+    radius_m = robot.wheel_radius_m
     return {
         "separation/wheel_separation": lambda g: g.separation_m / track_m,
         "left radius/wheel_radius": lambda g: g.left_m / radius_m,
@@ -345,9 +349,11 @@ def _simulink(answer: RobotAnswer) -> dict[str, str]:
 
 def _numbers(answer: RobotAnswer) -> list[tuple[str, float, str]]:
     """Return name, value and unit of the robot's numbers with what was found."""
-    robot, true = answer.true, DriveGeometry.of(answer.true)
+    robot = answer.true
+    true = DriveGeometry.of(answer.true)
     values = answer.values
-    controller, process = robot.controller, robot.process
+    controller = robot.controller
+    process = robot.process
     return [
         ("wheel_radius_left", true.left_m, "m"),
         ("wheel_radius_right", true.right_m, "m"),

@@ -96,7 +96,8 @@ def as_it_was(log: MeasuredLog) -> MeasuredLog:
     it has one.
     """
     pose = BODY if log.has(*BODY) else PLANAR
-    true, kept = {}, slice(None, None, TICKS_A_POSE)
+    true = {}
+    kept = slice(None, None, TICKS_A_POSE)
     for name, source in zip(TAG, pose, strict=True):
         channel = log[source]
         true[name] = Channel(

@@ -66,7 +66,8 @@ class BesideModels:
     @property
     def place(self) -> Array | None:
         """The measured places, shape (n, 2), where x and y belong together."""
-        x, y = self.measured.get("x"), self.measured.get("y")
+        x = self.measured.get("x")
+        y = self.measured.get("y")
         if x is None or y is None or not np.array_equal(x.t_s, y.t_s):
             return None
         return np.stack([x.values, y.values], axis=1)
@@ -79,7 +80,8 @@ class BesideModels:
         """Return every model beside what was measured, and one model beside the other."""
         found = []
         if self.place is not None:
-            x, y = self.measured["x"], self.measured["y"]
+            x = self.measured["x"]
+            y = self.measured["y"]
             for name, model in self.models.items():
                 ahead = self.at(x, model[:, 0]) - x.values
                 aside = self.at(y, model[:, 1]) - y.values

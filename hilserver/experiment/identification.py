@@ -47,7 +47,8 @@ def identify(
         try:
             rows, doubts = part()
         except LogError as error:
-            rows, doubts = [], [str(error)]
+            rows = []
+            doubts = [str(error)]
         found.rows.extend(rows)
         found.doubts.extend(doubts)
     return found
@@ -67,7 +68,8 @@ def of_turning(log: MeasuredLog, robot: RobotParameters) -> Identified:
     negative = "K_om is negative with the yaw sign of (5.5) to (5.7)"
     rows.append(FigureRow("sign", answer, negative))
 
-    unsteady, steady = number(gain.unsteady), number(gain.steady)
+    unsteady = number(gain.unsteady)
+    steady = number(gain.steady)
     rows.append(
         FigureRow("K_om by (5.19), all samples", unsteady, f"table 5.1: {TABLE_5_1}")
     )
@@ -92,7 +94,8 @@ def of_drive(log: MeasuredLog) -> Identified:
     doubts = list(steps.flags)
 
     if steps.input != "duty_pct":
-        of, printed = "closed loop, from steps of the set-point", ("", "", "", "")
+        of = "closed loop, from steps of the set-point"
+        printed = ("", "", "", "")
     else:
         of = "drive, from steps of the duty"
         printed = ("2 (5.23)", "69 ms (5.23)", "2.3 ms (5.23)", "1.11 (5.23)")

@@ -111,7 +111,8 @@ def run_models(
     pieces = pieces_of(stage, one_after_the_other(log.spans))
     rows = np.concatenate([piece.rows for piece in pieces])
 
-    mechatronic, missing = None, ""
+    mechatronic = None
+    missing = ""
     if isinstance(body, str):
         missing = body
     else:
@@ -153,7 +154,8 @@ def usable(log: MeasuredLog, robot: RobotParameters) -> Checked:
 def one_after_the_other(spans: Sequence[Span]) -> Array:
     """Return what to add to the stamps of each span: the first begins at 0, none overlaps."""
     shift_s = np.zeros(len(spans))
-    usual_s, end_s = -spans[0].start_s, -APART_S
+    usual_s = -spans[0].start_s
+    end_s = -APART_S
     for i, span in enumerate(spans):
         if span.start_s + usual_s <= end_s:
             usual_s = end_s + APART_S - span.start_s

@@ -22,13 +22,16 @@ def files(both: BesideModels) -> dict[str, str]:
     courses = both.courses
     period_s = float(courses.t_s[1] - courses.t_s[0])
     kept = slice(None, None, max(round(ROW_S / period_s), 1))
-    t_s, span = courses.t_s[kept], courses.span[kept]
+    t_s = courses.t_s[kept]
+    span = courses.span[kept]
 
     found = {"wheels.csv": as_log(t_s, span, SPEEDS, courses.wheels_rpm[kept])}
     for model, values in both.models.items():
-        name, names = "mechatronic.csv", MECH
+        name = "mechatronic.csv"
+        names = MECH
         if model == KINEMATIC:
-            name, names = "kinematic.csv", POSE
+            name = "kinematic.csv"
+            names = POSE
         found[name] = as_log(t_s, span, names, values[kept])
     for channel, shown in both.measured.items():
         table = as_log(shown.t_s, shown.span, (shown.signal,), shown.values)

@@ -98,8 +98,6 @@ def experiment_of(name: str) -> Experiment:
 def folder() -> Path:
     """Return the folder of the scenarios: ``examples/thesis`` of a checkout, see setup.py."""
     installed = Path(__file__).parent / "drives"
-    return (
-        installed
-        if installed.exists()
-        else Path(__file__).parents[2] / "examples" / "thesis"
-    )
+    if installed.exists():
+        return installed
+    return Path(__file__).parents[2] / "examples" / "thesis"

@@ -317,9 +317,10 @@ class Faults:
     def _unknown(self, entry: ModifierEntry, tick: int) -> ActiveFault:
         """Name a modifier that came with a snapshot."""
         kind = Kind(entry.kind)
-        place = (
-            "" if kind is Kind.DEAD_TIMEOUT else self._table.by_slot(entry.slot).name
-        )
+        if kind is Kind.DEAD_TIMEOUT:
+            place = ""
+        else:
+            place = self._table.by_slot(entry.slot).name
         name = kind.name.lower()
         return _shown(f"{name}:{place}", name, place, entry, tick)
 

@@ -123,7 +123,9 @@ class PeerLine:
 
     def fate(self, direction: str) -> tuple[bool, float, bool]:
         """Return what happens to a batch: lost, delay [s], may overtake others."""
-        lost, delay_s, overtakes = False, 0.0, False
+        lost = False
+        delay_s = 0.0
+        overtakes = False
         for fault in self._acting(direction):
             if fault.fault.fault == "drop":
                 lost |= fault.drops(self.now_s())

@@ -204,7 +204,9 @@ class Fault(Section):
     @property
     def end_s(self) -> float | None:
         """End of the fault, counted like `from_s` [s]; None: never."""
-        return self.until_s if self.for_s is None else self.from_s + self.for_s
+        if self.for_s is None:
+            return self.until_s
+        return self.from_s + self.for_s
 
 
 def parse_fault(data: object) -> Fault:

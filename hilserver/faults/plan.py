@@ -91,7 +91,9 @@ class Planner:
         return lay.INPUT if signal.direction is Direction.IN else lay.OUTPUT
 
     def _ticks(self, seconds: float | None) -> int:
-        return 0 if seconds is None else max(1, round(seconds / self._period_s))
+        if seconds is None:
+            return 0
+        return max(1, round(seconds / self._period_s))
 
     def _on_signal(self, fault: Fault, signal: Signal) -> list[ModifierEntry]:
         kind = Kind[fault.fault.upper()]

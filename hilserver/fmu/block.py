@@ -117,8 +117,12 @@ class _Running:
     """A started FMU, in this process or another; attributes as in `Foreign`."""
 
     def __init__(self, name: str, part: Instance | Child) -> None:
-        self.addresses, self.initial, self.key = part.addresses, part.initial, _key()
-        self._name, self._part, self._reported = name, part, at.OK
+        self.addresses = part.addresses
+        self.initial = part.initial
+        self.key = _key()
+        self._name = name
+        self._part = part
+        self._reported = at.OK
 
     def _failed(self, status: int) -> list[News]:
         """Return the failure if it is a new one."""
@@ -157,22 +161,25 @@ class Beside(_Running):
     def __init__(self, model: FmuModel, name: str, setting: Setting) -> None:
         self._child = Child(model.fmu, model.wiring, name, setting)
         super().__init__(name, self._child)
-        self._status, self._late, self._hurried, self._is_lost = at.OK, 0, 0, False
+        self._status = at.OK
+        self._late = 0
+        self._hurried = 0
+        self._is_lost = False
 
     def look(self, a: NDArray[np.int64]) -> Sequence[News]:
         """Return what happened since the last look; start it again if it has ended."""
-        status, hurried = int(a[at.A_STATUS]), int(a[at.A_HURRIED])
+        status = int(a[at.A_STATUS])
+        hurried = int(a[at.A_HURRIED])
         late = int(a[at.A_LATE]) - hurried
         if status == at.OK != self._status:
             self._is_lost = False  # a state was restored: its process continues from it
         ended = self._child.look(a, gives_up=status == at.SILENT and not self._is_lost)
         self._is_lost |= ended is not None
         self._status = status
-        news = (
-            []
-            if ended is None
-            else [News(f"FMU '{self._name}' {ended}", is_fault=True)]
-        )
+        if ended is None:
+            news = []
+        else:
+            news = [News(f"FMU '{self._name}' {ended}", is_fault=True)]
         if status != at.SILENT:  # its end is reported already
             news += self._failed(status)
         if late > self._late and not news:
@@ -182,7 +189,8 @@ class Beside(_Running):
             news.append(
                 self._holds(f"had no time in {n} slices while the plant caught up")
             )
-        self._late, self._hurried = late, hurried
+        self._late = late
+        self._hurried = hurried
         return news
 
     def _holds(self, why: str) -> News:

@@ -96,7 +96,8 @@ def translate(listing: str, entry: str, name: str) -> str:
     arrays = dict(
         re.findall(rf'^(@{NAME}) = .*?constant \[\d+ x i8\] c"(.*?)"', listing, re.M)
     )
-    wanted, names = [entry], {entry: name}
+    wanted = [entry]
+    names = {entry: name}
     for function in wanted:
         for callee in re.findall(rf"call [^\n]*?@({NAME})\(", functions[function][1]):
             if callee in functions and callee not in names:
@@ -166,11 +167,10 @@ class _Function:
             self.arrays.append(text)
             return f"(char *){_c_name(text)}"
         if kind == "double":
-            raw = (
-                struct.unpack(">d", bytes.fromhex(text[2:]))[0]
-                if "x" in text
-                else float(text)
-            )
+            if "x" in text:
+                raw = struct.unpack(">d", bytes.fromhex(text[2:]))[0]
+            else:
+                raw = float(text)
             return c_number(raw)
         return f"(({_C[kind]}){text}{'LL' if kind == 'i64' else ''})"
 
@@ -278,7 +278,8 @@ class _Function:
         for index in split(more):
             whole, value = match(rf"(i\d+) ({VALUE})", index)
             steps.append(f"(int64_t){self._signed(value, whole)} * {size_of(kind)}")
-            kind = kind[1:-1].partition(" x ")[2] if kind[0] == "[" else kind
+            if kind[0] == "[":
+                kind = kind[1:-1].partition(" x ")[2]
         return f"{self._value(base, 'ptr')} + ({' + '.join(steps)})"
 
     def _signed(self, value: str, kind: str) -> str:
@@ -372,9 +373,11 @@ def _c_name(name: str) -> str:
 
 def _readable(mangled: str, number: int) -> str:
     """Return the last part of a mangled name, with a number that makes it unique."""
-    parts, rest = [], mangled.removeprefix("_ZN")
+    parts = []
+    rest = mangled.removeprefix("_ZN")
     while (length := re.match(r"\d+", rest)) is not None:
-        begin, n = length.end(), int(length[0])
+        begin = length.end()
+        n = int(length[0])
         parts.append(rest[begin : begin + n])
         rest = rest[begin + n :]
     return f"{parts[-1] if parts else 'kernel'}_{number}"

@@ -142,13 +142,12 @@ def _sources(folder: Path, header: str, version: int) -> list[Path]:
 def _linked(folder: Path, platform: str) -> Path:
     """Return the shared library for a platform."""
     if platform.endswith("-windows"):
-        library, link = (
-            folder / f"{platform}.dll",
-            "-static-libgcc -Wl,--export-all-symbols,-s",
-        )
+        library = folder / f"{platform}.dll"
+        link = "-static-libgcc -Wl,--export-all-symbols,-s"
     else:
         (folder / "exported.map").write_text(_EXPORTED, encoding="utf-8")
-        library, script = folder / f"{platform}.so", folder / "exported.map"
+        library = folder / f"{platform}.so"
+        script = folder / "exported.map"
         link = f"-Wl,--version-script={script},-z,defs,-z,noexecstack,-s"
     options = ["-std=gnu11", *_OPTIONS, "-fPIC", "-shared", "-w"]
     source = str(folder / "sources" / _MAIN)
@@ -178,7 +177,8 @@ def _header(
     base_period_ns: int,
 ) -> str:
     """Return robot.h: everything that differs between robots."""
-    table, sizes = composition.table, _sizes(composition, tunable)
+    table = composition.table
+    sizes = _sizes(composition, tunable)
     ticks = {
         n: round(s * 1e9 / base_period_ns) for n, s in composition.periods_s.items()
     }
@@ -256,11 +256,10 @@ def _array(name: str, numbers: NDArray[np.float64]) -> str:
 
 def _soundness() -> str:
     """Return the C function that tells whether a state can be continued from."""
-    heads, counts = (
-        ("setpoint_head", "imu_head", "nav_head"),
-        ("imu_count", "nav_count"),
-    )
-    at, most = State.where, RING
+    heads = ("setpoint_head", "imu_head", "nav_head")
+    counts = ("imu_count", "nav_count")
+    at = State.where
+    most = RING
     tests = [f"x[{at(n).start}] >= 0 && x[{at(n).start}] < {most}" for n in heads]
     tests += [f"x[{at(n).start}] >= 0 && x[{at(n).start}] <= {most}" for n in counts]
     return f"static int is_sound(const double *x) {{ return {' && '.join(tests)}; }}"

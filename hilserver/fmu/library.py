@@ -105,14 +105,22 @@ class Instance:
     """A started FMU; it is stepped through its addresses and must outlive them."""
 
     def __init__(self, fmu: Fmu, wiring: Wiring, name: str, slow_ns: int) -> None:
-        self._fmu, self._library = fmu, FmuLibrary(fmu)
+        self._fmu = fmu
+        self._library = FmuLibrary(fmu)
         self.message_words = np.zeros(at.MESSAGE_WORDS, dtype=np.int64)
         self._callbacks: Any = None
         self._instance = ctypes.c_void_p(self._instantiated(name.encode()))
         if not self._instance:
             raise BlockError(f"does not start: {self.message or 'it gives no reason'}")
         self._set_start(dict(wiring.start))
-        self._initialise()
+        zero = ctypes.c_double(0.0)
+        no = ctypes.c_int(0) if self._fmu.version == 2 else ctypes.c_bool(False)
+        if self._fmu.version == 2:
+            self._call("SetupExperiment", no, zero, zero, no, zero)
+            self._call("EnterInitializationMode")
+        else:
+            self._call("EnterInitializationMode", no, zero, zero, no, zero)
+        self._call("ExitInitializationMode")
         # the kernels' `a`, valid in this process
         self.addresses = self._addresses(wiring, slow_ns)
         self.outputs = np.zeros(wiring.n_outputs)  # `y` at time 0
@@ -136,8 +144,10 @@ class Instance:
             self._instance = ctypes.c_void_p(None)
 
     def _instantiated(self, name: bytes) -> int:
-        fmu, environment = self._fmu, ctypes.c_void_p(self.message_words.ctypes.data)
-        token, resources = fmu.token.encode(), fmu.folder / "resources"
+        fmu = self._fmu
+        environment = ctypes.c_void_p(self.message_words.ctypes.data)
+        token = fmu.token.encode()
+        resources = fmu.folder / "resources"
         if fmu.version == 2:
             # logger, allocateMemory, freeMemory, stepFinished, componentEnvironment
             self._callbacks = (ctypes.c_void_p * 5)(
@@ -146,11 +156,9 @@ class Instance:
             uri = resources.as_uri().encode()
             instantiate = self._library.function("Instantiate", ctypes.c_void_p)
             return int(instantiate(name, 1, token, uri, self._callbacks, 0, 0) or 0)
-        path, none, no = (
-            f"{resources}/".encode(),
-            ctypes.c_void_p(None),
-            ctypes.c_bool(False),
-        )
+        path = f"{resources}/".encode()
+        none = ctypes.c_void_p(None)
+        no = ctypes.c_bool(False)
         instantiate = self._library.function("InstantiateCoSimulation", ctypes.c_void_p)
         log = ctypes.c_void_p(_log_3.address)
         first = (name, token, path, no, no, no, no, none, ctypes.c_size_t(0))
@@ -167,7 +175,8 @@ class Instance:
     def _set_start(self, given: Mapping[FmuVariable, Start]) -> None:
         """Set start values, those of one type in one call."""
         for same in _of_one_type(sorted(given, key=lambda v: v.type)):
-            n, first = len(same), same[0]
+            n = len(same)
+            first = same[0]
             references = (ctypes.c_uint32 * n)(*(v.reference for v in same))
             if first.type == "String":
                 data: Any = (ctypes.c_char_p * n)(
@@ -179,38 +188,38 @@ class Instance:
             size = ctypes.c_size_t(n)  # 3.0 alone takes the number of values
             self._call(f"Set{first.type}", references, size, data, size)
 
-    def _initialise(self) -> None:
-        zero = ctypes.c_double(0.0)
-        no = ctypes.c_int(0) if self._fmu.version == 2 else ctypes.c_bool(False)
-        if self._fmu.version == 2:
-            self._call("SetupExperiment", no, zero, zero, no, zero)
-            self._call("EnterInitializationMode")
-        else:
-            self._call("EnterInitializationMode", no, zero, zero, no, zero)
-        self._call("ExitInitializationMode")
-
     def _addresses(self, wiring: Wiring, slow_ns: int) -> NDArray[np.int64]:
         groups = [
             [(verb, same) for same in _of_one_type(vs)] for verb, vs in wiring.rows
         ]
-        rows, references, values = [], np.zeros(0, dtype=np.int64), 0
+        rows = []
+        references = np.zeros(0, dtype=np.int64)
+        values = 0
         first = at.ROWS + at.CALL_WORDS * sum(map(len, groups))
         for verb, same in itertools.chain(*groups):
-            n, v = sum(v.count for v in same), same[0]
+            n = sum(v.count for v in same)
+            v = same[0]
             function = self._library.address(f"{verb}{v.type}")
             rows.append(
                 (first + references.size, len(same), n, v.bytes, v.kind, function)
             )
-            references = np.append(references, _packed([v.reference for v in same]))
+            # 32-bit numbers, two per word.
+            numbers = [v.reference for v in same]
+            padded = [*numbers, *[0] * (len(numbers) % 2)]
+            packed = np.array(padded, dtype=np.uint32).view(np.int64)
+            references = np.append(references, packed)
             values = max(values, n)
         scratch = first + references.size
         known = scratch + values
         a = np.zeros(known + wiring.n_parameters, dtype=np.int64)
         a[at.ROWS : first] = np.array(rows, dtype=np.int64).ravel()
         a[first:scratch] = references
-        a[at.A_SCRATCH], a[at.A_KNOWN], a[at.A_FRESH] = scratch, known, 1
+        a[at.A_SCRATCH] = scratch
+        a[at.A_KNOWN] = known
+        a[at.A_FRESH] = 1
         a[at.A_INPUTS], a[at.A_PARAMETERS], a[at.A_OUTPUTS] = map(len, groups)
-        a[at.A_INSTANCE], a[at.A_VERSION] = self._instance.value or 0, self._fmu.version
+        a[at.A_INSTANCE] = self._instance.value or 0
+        a[at.A_VERSION] = self._fmu.version
         a[at.A_DO_STEP] = self._library.address("DoStep")
         if self._fmu.stores_state:
             for place, names in _OF_STATE.items():
@@ -246,12 +255,6 @@ def _of_one_type(variables: Iterable[FmuVariable]) -> Iterator[list[FmuVariable]
         yield list(same)
 
 
-def _packed(references: Sequence[int]) -> NDArray[np.int64]:
-    """Return 32-bit numbers, two per word."""
-    padded = [*references, *[0] * (len(references) % 2)]
-    return np.array(padded, dtype=np.uint32).view(np.int64)
-
-
 def _libc(name: str) -> int:
     return ctypes.cast(getattr(ctypes.CDLL(None), name), ctypes.c_void_p).value or 0
 
@@ -260,4 +263,6 @@ def _as_start(variable: FmuVariable, value: float | str | bool) -> float | int |
     number = float(value)
     if variable.kind == at.FLOAT:
         return number
-    return number != 0.0 if variable.kind == at.BOOLEAN else round(number)
+    if variable.kind == at.BOOLEAN:
+        return number != 0.0
+    return round(number)

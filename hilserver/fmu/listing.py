@@ -56,7 +56,8 @@ def match(pattern: str, text: str) -> tuple[str, ...]:
 
 def split(text: str) -> list[str]:
     """Split at commas outside brackets."""
-    depth, pieces = 0, [""]
+    depth = 0
+    pieces = [""]
     for sign in text:
         depth += (sign in "([{<") - (sign in ")]}>")
         if sign == "," and depth == 0:

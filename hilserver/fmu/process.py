@@ -94,7 +94,8 @@ class Child:
             The step no longer waits: a process that does not answer is ended.
         """
         self._take_ready(a)
-        running, dead = self._process.poll() is None, bool(a[at.A_DEAD])
+        running = self._process.poll() is None
+        dead = bool(a[at.A_DEAD])
         if dead or (running and not gives_up):
             return None
         a[at.A_DEAD] = 1
@@ -135,7 +136,8 @@ class Child:
 
     def _wait(self) -> Started:
         """Return the report of the first child."""
-        raw, ready = b"", self._ready
+        raw = b""
+        ready = self._ready
         assert ready is not None
         while select.select([ready], [], [], CHILD_START_S)[0]:
             piece = os.read(ready, 1 << 16)
@@ -164,8 +166,11 @@ class Child:
 
     def _addresses(self, started: Started, setting: Setting) -> NDArray[np.int64]:
         a = np.zeros(at.ROWS, dtype=np.int64)
-        a[at.A_SHARED], a[at.A_SHARED_LENGTH] = self._words.ctypes.data, started.n_words
-        a[at.A_BELL], a[at.A_ONE], a[at.A_WAITS] = self._bell, 1, setting.waits
+        a[at.A_SHARED] = self._words.ctypes.data
+        a[at.A_SHARED_LENGTH] = started.n_words
+        a[at.A_BELL] = self._bell
+        a[at.A_ONE] = 1
+        a[at.A_WAITS] = setting.waits
         a[at.A_LIMIT] = round(1e9 * longest_silence_s(setting.period_s))
         a[at.A_CAPACITY] = started.capacity
         return a

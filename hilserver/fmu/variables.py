@@ -46,7 +46,15 @@ def outputs(table: SignalTable) -> list[Signal]:
 
 def tunables(robot: RobotParameters) -> list[Tunable]:
     """Return the parameters of this robot that act at a tick."""
-    fixed = _fixed(robot)
+    # Used only when the FMU is made, or without meaning for the robot.
+    causes = {"friction_anisotropy", *robot.meaningless}
+    fixed = {f"{TERM}{name}" for name, term in TERMS.items() if term.cause in causes}
+    fixed.add("sensors.battery.initial_charge")  # acts on the initial state only
+    if robot.is_mecanum:
+        fixed.add("plant.icr_offset_m")
+    made = physical(robot)
+    if made.anisotropy_factor != 1.0 or made.anisotropy_shift_m != 0.0:
+        fixed |= {"plant.wheelbase_m", "plant.track_m"}
     found = [
         Tunable(
             PLANT[name],
@@ -64,20 +72,6 @@ def tunables(robot: RobotParameters) -> list[Tunable]:
         *found,
         Tunable(seed, _place("seed"), float(robot.seed), seed.low, seed.high),
     ]
-
-
-def _fixed(robot: RobotParameters) -> set[str]:
-    """Return parameters used only when the FMU is made, or without meaning for the robot."""
-    causes = {"friction_anisotropy", *robot.meaningless}
-    fixed = {f"{TERM}{name}" for name, term in TERMS.items() if term.cause in causes}
-    fixed.add("sensors.battery.initial_charge")  # acts on the initial state only
-    if robot.is_mecanum:
-        fixed.add("plant.icr_offset_m")
-    if (
-        made := physical(robot)
-    ).anisotropy_factor != 1.0 or made.anisotropy_shift_m != 0.0:
-        fixed |= {"plant.wheelbase_m", "plant.track_m"}
-    return fixed
 
 
 def _place(name: str) -> int:

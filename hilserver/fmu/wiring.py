@@ -118,9 +118,11 @@ def signals(wiring: Wiring, names: Mapping[str, str]) -> tuple[Output, ...]:
     for variable in wiring.outputs:
         for name in variable.scalars:
             shown = names.get(name) or _plain(name)
-            low, high = variable.low, variable.high
+            low = variable.low
+            high = variable.high
             if not low < high:
-                low, high = -1e9, 1e9
+                low = -1e9
+                high = 1e9
             found.append(Output(shown, variable.unit, low, high, variable.description))
     twice = [o.name for o in found if [x.name for x in found].count(o.name) > 1]
     if twice:

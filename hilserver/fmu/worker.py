@@ -34,7 +34,9 @@ def main() -> int:
         with ready:
             pickle.dump(Started(str(error), np.zeros(0), 0, 0), ready)
         return 1
-    x, a, wiring = instance.initial, instance.addresses, order.wiring
+    x = instance.initial
+    a = instance.addresses
+    wiring = order.wiring
     u, p, y = (
         np.zeros(n) for n in (wiring.n_inputs, wiring.n_parameters, wiring.n_outputs)
     )

@@ -36,12 +36,13 @@ def check_sign(gain: RotationGain) -> Check:
             "sign", None, "the robot turns too little to show the sign", gain.unsteady
         )
     passed = interval[0] > 0.0
-    text = (
-        "left forward and right backward turns the robot as the configured yaw_sign says"
-        if passed
-        else "the yaw runs opposite to the wheels: sides swapped, yaw sign flipped, or wrong"
-        " yaw_sign"
-    )
+    if passed:
+        text = "left forward and right backward turns the robot as the configured yaw_sign says"
+    else:
+        text = (
+            "the yaw runs opposite to the wheels: sides swapped, yaw sign flipped, or wrong"
+            " yaw_sign"
+        )
     return Check("sign", passed, text, gain.unsteady)
 
 

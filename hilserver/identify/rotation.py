@@ -296,8 +296,12 @@ def _lag(data: _Samples) -> tuple[Estimate | None, Estimate | None]:
     gain = float(u[good] @ data.y[good] / (u[good] @ u[good]))
     table = np.stack([u[good], gain * slope[good]], axis=1)
     found = regress(table, data.y[good], data.block[good])
-    gain_estimate, rest = found.estimate(0, "1/m"), found.estimate(1, "s")
-    interval = None if rest.ci95 is None else (best + rest.ci95[0], best + rest.ci95[1])
+    gain_estimate = found.estimate(0, "1/m")
+    rest = found.estimate(1, "s")
+    if rest.ci95 is None:
+        interval = None
+    else:
+        interval = (best + rest.ci95[0], best + rest.ci95[1])
     return Estimate(best + rest.value, interval, "s"), gain_estimate
 
 

@@ -63,9 +63,10 @@ def find_steps(log: MeasuredLog, wheel: str, quantity: str) -> list[InputStep]:
             size = float(values[change] - values[change - 1])
             since_s = t_s[edges[i]]
             at_s = float(t_s[change])
-            until_s = (
-                t_s[edges[i + 2]] if edges[i + 2] < len(t_s) else seen_s[-1] + 1e-9
-            )
+            if edges[i + 2] < len(t_s):
+                until_s = t_s[edges[i + 2]]
+            else:
+                until_s = seen_s[-1] + 1e-9
             held = at_s - since_s >= _BEFORE_S and until_s - at_s >= _HOLD_S
             if not held or abs(size) < _SMALLEST_SHARE * largest:
                 continue
@@ -258,7 +259,8 @@ class _Fits:
         found = least_squares(
             left, [*start, self._gain], x_scale=[*([0.1] * len(start)), 1.0]
         )
-        theta, rest = found.x, found.fun
+        theta = found.x
+        rest = found.fun
         spread = regress(-found.jac, rest, self._blocks)
         estimates = []
         for i, log_t in enumerate(theta[:-1]):
@@ -267,7 +269,10 @@ class _Fits:
             estimates.append(Estimate(math.exp(log_t), limits, "s"))
         around = spread.estimate(len(theta) - 1).ci95
         gain = float(theta[-1])
-        interval = None if around is None else (gain + around[0], gain + around[1])
+        if around is None:
+            interval = None
+        else:
+            interval = (gain + around[0], gain + around[1])
         rms = float(np.sqrt(np.mean(np.square(rest))))
         return _Fit(estimates, Estimate(gain, interval, self._unit), rms)
 

@@ -55,11 +55,12 @@ def rotation_lines(gain: RotationGain, checks: Sequence[Check]) -> list[str]:
 
 def step_lines(found: StepResponse) -> list[str]:
     """Return Strejc's reading and the two fits."""
-    graphical = (
-        f"order {found.strejc.order}, T = {found.strejc.time_constant_s:.4g} s"
-        if found.strejc.order > 1
-        else "below order 2: see the two time constants"
-    )
+    if found.strejc.order > 1:
+        graphical = (
+            f"order {found.strejc.order}, T = {found.strejc.time_constant_s:.4g} s"
+        )
+    else:
+        graphical = "below order 2: see the two time constants"
     tangent = found.tangent
     return [
         f"{found.steps} steps of {found.input}, wheels {', '.join(found.wheels)}",
@@ -93,9 +94,10 @@ def rate_lines(
             f"  rise to 63 %   {rises}",
         ]
     for pair in comparisons:
-        verdict = (
-            "is faster than" if pair.distinguishable else "not distinguishable from"
-        )
+        if pair.distinguishable:
+            verdict = "is faster than"
+        else:
+            verdict = "not distinguishable from"
         lines.append(f"{pair.faster} {verdict} {pair.slower} (p = {pair.p_value:.2g})")
     return lines
 

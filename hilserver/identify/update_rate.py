@@ -169,4 +169,6 @@ def _of_wheel(log: MeasuredLog, wheel: str) -> tuple[WheelRise, Array, float]:
 
 def _first(t_s: Array, values: Array, level: float) -> float:
     above = np.flatnonzero(values >= level)
-    return float(t_s[above[0]]) if len(above) else float(t_s[-1])
+    if len(above):
+        return float(t_s[above[0]])
+    return float(t_s[-1])

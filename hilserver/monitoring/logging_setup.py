@@ -201,13 +201,12 @@ def log_event(event: Event) -> None:
     if event.kind is EventKind.OVERRUN:
         return
     log = structlog.get_logger("hilserver.events")
-    write = (
-        log.error
-        if event.severity >= 700
-        else log.warning
-        if event.severity >= 300
-        else log.info
-    )
+    if event.severity >= 700:
+        write = log.error
+    elif event.severity >= 300:
+        write = log.warning
+    else:
+        write = log.info
     write(event.message, kind=str(event.kind), source=event.source)
 
 

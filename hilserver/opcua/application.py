@@ -95,7 +95,9 @@ class Application:
             return node_id.Identifier
         node = self._space.get(node_id)
         place = None if node is None else node.attributes[_Attributes.BrowseName]
-        return "" if place is None else str(place.value.Value.Value.Name)
+        if place is None:
+            return ""
+        return str(place.value.Value.Value.Name)
 
     def may_write(self, user: Any, node_id: ua.NodeId) -> bool:
         """Whether a user may write a variable."""
@@ -233,7 +235,8 @@ def _type_name(data_type: ua.NodeId) -> str:
 
 
 def _fits(argument: ua.Argument, given: ua.Variant) -> bool:
-    kind, rank = argument.DataType, argument.ValueRank
+    kind = argument.DataType
+    rank = argument.ValueRank
     is_built_in = kind.NamespaceIndex == 0 and kind.Identifier in _BUILT_IN
     if is_built_in and given.VariantType.value != kind.Identifier:
         return False

@@ -111,11 +111,10 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
             return
         factory = next((p for p in self._policies if p.matches(uri, mode)), None)
         if factory is None:
-            code = (
-                _Codes.BadSecurityPolicyRejected
-                if mode is None
-                else (_Codes.BadSecurityModeRejected)
-            )
+            if mode is None:
+                code = _Codes.BadSecurityPolicyRejected
+            else:
+                code = _Codes.BadSecurityModeRejected
             raise TransportError(code, "security policy or mode not offered")
         if mode is not None:
             return  # already decrypted with this policy, and checked
@@ -123,11 +122,10 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
         self.security_policy = factory.create(first_of_chain(peer_certificate or b""))
 
     def _judge(self, certificate: bytes) -> None:
-        verdict = (
-            CertificateVerdict.INVALID
-            if self._trust is None
-            else self._trust.judge(certificate)
-        )
+        if self._trust is None:
+            verdict = CertificateVerdict.INVALID
+        else:
+            verdict = self._trust.judge(certificate)
         if verdict is CertificateVerdict.GOOD:
             return
         kept = remedy = None
@@ -195,7 +193,8 @@ class GuardedConnection(SecureConnection):  # type: ignore[misc]
         None for any other: `receive_from_header_and_body` checks it and reports what is wrong.
         """
         _, chunk, _, channel, token_id, sequence, request_id = _PLAIN.unpack_from(frame)
-        token, last = self.security_token, self._peer_sequence_number
+        token = self.security_token
+        last = self._peer_sequence_number
         if (
             self.security_policy.Mode != _None
             or chunk != b"F"

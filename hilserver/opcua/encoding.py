@@ -273,8 +273,9 @@ def read_items(body: Buffer, most: int) -> Generator[None, None, ReadItems]:
         index_range = Primitives.String.unpack(body) or ""
         namespace = int.from_bytes(body.read(2), "little")
         name = Primitives.String.unpack(body)
-        encoding = (
-            ua.QualifiedName(name, namespace) if name or namespace else _NO_ENCODING
-        )
+        if name or namespace:
+            encoding = ua.QualifiedName(name, namespace)
+        else:
+            encoding = _NO_ENCODING
         items.append(ReadItem(node_id, attribute, index_range, encoding))
     return ReadItems(max_age_ms, stamps, items)

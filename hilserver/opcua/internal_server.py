@@ -56,9 +56,10 @@ class InnerServer(QuickInternalServer):
         )
         self.reader = Reader(self)
         self.sessions: dict[ua.NodeId, Session] = {}
-        tokens: list[type] = (
-            [ua.AnonymousIdentityToken] if access.admits_anonymous else []
-        )
+        if access.admits_anonymous:
+            tokens: list[type] = [ua.AnonymousIdentityToken]
+        else:
+            tokens = []
         if access.has_users:
             tokens.append(ua.UserNameIdentityToken)
         self.supported_tokens = tuple(tokens)

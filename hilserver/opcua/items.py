@@ -68,9 +68,10 @@ class ValueItem(_Item):
             now_s += min(slack_s, self.interval_s / 2)
             if now_s < self.due_s:
                 return False
-            missed = (
-                math.floor((now_s - self.due_s) / self.interval_s) if self.due_s else 0
-            )
+            if self.due_s:
+                missed = math.floor((now_s - self.due_s) / self.interval_s)
+            else:
+                missed = 0
             self.due_s = (self.due_s or now_s) + (missed + 1) * self.interval_s
         self.seen = value
         fixed = FixedDataValue.of(value)

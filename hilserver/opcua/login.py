@@ -22,7 +22,8 @@ _Modes = ua.MessageSecurityMode
 
 async def create_session(processor: Any, params: Any) -> ua.CreateSessionResponse:
     """Answer CreateSession: one session per connection."""
-    iserver, policy = processor.iserver, processor.policy
+    iserver = processor.iserver
+    policy = processor.policy
     if processor.session is not None:
         if processor.session.is_activated:
             raise ServiceError(_Codes.BadTooManySessions)
@@ -68,7 +69,8 @@ async def activate_session(
     processor: Any, token: Any, params: Any
 ) -> ua.ActivateSessionResponse:
     """Answer ActivateSession: admit a proven client of the session with a known user."""
-    iserver, policy = processor.iserver, processor.policy
+    iserver = processor.iserver
+    policy = processor.policy
     session = iserver.sessions.get(token)
     if session is None or (
         processor.session is not None and session is not processor.session

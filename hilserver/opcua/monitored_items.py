@@ -100,7 +100,8 @@ class MonitoredItems:
         return result
 
     def _make_value(self, request: Any, stamps: Any, room: Room) -> Item:
-        read, asked = request.ItemToMonitor, request.RequestedParameters
+        read = request.ItemToMonitor
+        asked = request.RequestedParameters
         place = place_for_items(self._address_space, read)
         change = self._change_filter(read, asked.Filter)
         self._values[self._number] = item = ValueItem(
@@ -118,7 +119,8 @@ class MonitoredItems:
         return item
 
     def _make_events(self, request: Any, _stamps: Any, room: Room) -> Item:
-        read, asked = request.ItemToMonitor, request.RequestedParameters
+        read = request.ItemToMonitor
+        asked = request.RequestedParameters
         place = find(self._address_space, read.NodeId, read.AttributeId)
         notifier = value_at(place, read.NodeId, read.AttributeId).Value
         if (
@@ -345,9 +347,10 @@ def check_event_filter(asked: Any) -> ua.EventFilter:
 
 
 def _built_in(data_type: ua.DataValue | None) -> ua.VariantType | None:
-    node_id = (
-        data_type.Value.Value if data_type is not None and data_type.Value else None
-    )
+    if data_type is not None and data_type.Value:
+        node_id = data_type.Value.Value
+    else:
+        node_id = None
     if not isinstance(node_id, ua.NodeId) or node_id.NamespaceIndex != 0:
         return None
     try:

@@ -60,7 +60,9 @@ def keys_of(name: str, address: str) -> tuple[Hashable, ...]:
     The address of this computer does not count, nor a missing one: several users share it.
     """
     keys = (("name", name[:64]), ("address", address))
-    return keys[:1] if not address or is_loopback(address) else keys
+    if not address or is_loopback(address):
+        return keys[:1]
+    return keys
 
 
 class FailedAttempts:

@@ -124,11 +124,10 @@ class Processor:
                 secure = (
                     self._connection.security_policy.Mode != _None or kind == b"OPN"
                 )
-                code = (
-                    _Codes.BadSecurityChecksFailed
-                    if secure
-                    else _Codes.BadDecodingError
-                )
+                if secure:
+                    code = _Codes.BadSecurityChecksFailed
+                else:
+                    code = _Codes.BadDecodingError
                 log.warning(
                     "opcua message refused",
                     address=self.address,
@@ -239,11 +238,10 @@ class Processor:
         service = encoding.service_id(body)
         session = self.session
         token = None
-        head = (
-            None
-            if session is None
-            else encoding.request_head(body, session.token_bytes)
-        )
+        if session is None:
+            head = None
+        else:
+            head = encoding.request_head(body, session.token_bytes)
         if head is None:
             header = take(ua.RequestHeader, body)
             token = header.AuthenticationToken

@@ -133,7 +133,8 @@ def completed(value: ua.DataValue, attribute: int, born: datetime) -> FixedDataV
     """Return a value with the stamps and the status that asyncua's own nodes lack."""
     if isinstance(value, FixedDataValue):
         return value
-    source, status = value.SourceTimestamp, value.StatusCode
+    source = value.SourceTimestamp
+    status = value.StatusCode
     if attribute == _Attributes.Value:
         source = source or born
         has_value = (
@@ -155,7 +156,8 @@ class Reader:
     def read(self, item: Any, user: Any) -> FixedDataValue:
         """Return one attribute; if that is not possible, a value with a bad status."""
         try:
-            node_id, attribute = item.node_id, item.attribute
+            node_id = item.node_id
+            attribute = item.attribute
             place = find(self._server.aspace, node_id, attribute)
             value = value_at(place, node_id, attribute)
             if item.data_encoding.Name:

@@ -44,9 +44,10 @@ def advance(work: Portions, answer: Any = None) -> Any:
     """
     end_s = time.monotonic() + PORTION_S
     while True:
-        wanted = (
-            work.throw(answer) if isinstance(answer, Exception) else work.send(answer)
-        )
+        if isinstance(answer, Exception):
+            wanted = work.throw(answer)
+        else:
+            wanted = work.send(answer)
         if wanted is not None or time.monotonic() >= end_s:
             return wanted
         answer = None

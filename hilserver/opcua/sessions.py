@@ -126,11 +126,10 @@ class Session:
         shortest = self.server.min_session_timeout_ms
         longest = self.server.max_session_timeout_ms
         # A time-out of NaN would never expire.
-        revised_ms = (
-            min(max(asked_ms, shortest), longest)
-            if math.isfinite(asked_ms)
-            else longest
-        )
+        if math.isfinite(asked_ms):
+            revised_ms = min(max(asked_ms, shortest), longest)
+        else:
+            revised_ms = longest
         self.timeout_s = revised_ms / 1e3
         asked = int(params.MaxResponseMessageSize or 0)
         self.max_response_bytes = max(asked, _LEAST_RESPONSE_BYTES) if asked else 0

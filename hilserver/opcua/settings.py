@@ -289,7 +289,9 @@ class OpcUaSettings(_Checked):
     def anonymous_role(self) -> Role | None:
         """Role of a client that gives no name; None: it is refused."""
         if self.anonymous is not None:
-            return None if self.anonymous == "nobody" else Role[self.anonymous.upper()]
+            if self.anonymous == "nobody":
+                return None
+            return Role[self.anonymous.upper()]
         if self.users or (self.is_open_to_network and not self.allow_insecure_network):
             return None
         return Role.ENGINEER

@@ -103,7 +103,8 @@ class QuickInternalServer(InternalServer):  # type: ignore[misc]
 
     async def load_standard_address_space(self, shelf_file: Path | None = None) -> None:
         """Fill the address space; `shelf_file` is where asyncua itself would keep the nodes."""
-        shelf, name = Shelf(SHELF), f"standard_nodes-{version('asyncua')}.pickle"
+        shelf = Shelf(SHELF)
+        name = f"standard_nodes-{version('asyncua')}.pickle"
         kept = shelf.get(name)
         if kept is not None:
             # another version of ours may have kept them in another form
@@ -137,11 +138,9 @@ class _Pickler(pickle.Pickler):
     """Writes an attribute as a call: reading it takes half the memory of object and state."""
 
     def reducer_override(self, part: Any) -> Any:
-        return (
-            (AttributeValue, (part.value,))
-            if type(part) is AttributeValue
-            else NotImplemented
-        )
+        if type(part) is AttributeValue:
+            return (AttributeValue, (part.value,))
+        return NotImplemented
 
 
 def _share(nodes: Any) -> None:

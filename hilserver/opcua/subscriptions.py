@@ -71,11 +71,10 @@ class Subscription:
         shortest = self._service.settings.min_publishing_ms
         asked_ms = params.RequestedPublishingInterval
         # `not >=` also catches NaN.
-        interval_ms = (
-            shortest
-            if not asked_ms >= shortest
-            else min(asked_ms, LONGEST_PUBLISHING_MS)
-        )
+        if not asked_ms >= shortest:
+            interval_ms = shortest
+        else:
+            interval_ms = min(asked_ms, LONGEST_PUBLISHING_MS)
         # Agreed on as counts of cycles, but a budget is a time.
         most = int(LONGEST_PUBLISHING_MS // interval_ms)
         keep_alive = _bounded(params.RequestedMaxKeepAliveCount, most)
@@ -87,9 +86,10 @@ class Subscription:
             target.RevisedMaxKeepAliveCount = keep_alive
             target.RevisedLifetimeCount = lifetime
         asked = params.MaxNotificationsPerPublish
-        self.max_notifications = (
-            min(asked, MAX_NOTIFICATIONS) if asked else MAX_NOTIFICATIONS
-        )
+        if asked:
+            self.max_notifications = min(asked, MAX_NOTIFICATIONS)
+        else:
+            self.max_notifications = MAX_NOTIFICATIONS
         self._unserved_cycles = 0
         self.start()
 

@@ -279,7 +279,8 @@ class Listener(BinaryServer):  # type: ignore[misc]
         if not is_loopback(address):
             own = [client for client in clients if client.address == address]
             if len(own) >= max(1, most // 2):
-                most, clients = 0, own
+                most = 0
+                clients = own
         if len(clients) < most:
             return True
         crowd = Counter(client.address for client in clients)

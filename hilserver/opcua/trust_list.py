@@ -43,7 +43,7 @@ from hilserver.opcua.certificate import (
 )
 from hilserver.opcua.logs import log
 from hilserver.opcua.passwords import FailedAttempts
-from hilserver.small_file import read_small
+from hilserver.small_file import read_small, sync_folder
 
 MAX_REJECTED = 100
 KEPT_AT_ONCE, KEPT_WITHIN_S = 10, 60.0
@@ -109,11 +109,10 @@ class _Folder:
                     certificate = parse_certificate(data)
                 except ValueError:
                     is_text = data[:1000].lstrip().startswith(b"-----BEGIN")
-                    parsed = (
-                        x509.load_pem_x509_crl(data)
-                        if is_text
-                        else x509.load_der_x509_crl(data)
-                    )
+                    if is_text:
+                        parsed = x509.load_pem_x509_crl(data)
+                    else:
+                        parsed = x509.load_der_x509_crl(data)
                     self.lists.append(parsed)
                 else:
                     self.certificates[thumbprint(certificate)] = certificate
@@ -323,14 +322,21 @@ def is_open_to_others(path: Path) -> bool:
 
 
 def write_private(path: Path, data: bytes) -> None:
-    """Write a file that only its owner can read, whole or not at all."""
+    """Write a file that only its owner can read, whole or not at all.
+
+    Once this returns, the disk holds it under its name.
+    """
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
-    with os.fdopen(descriptor, "wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)
+    try:
+        descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    sync_folder(path.parent)
 
 
 def _is_in_time(certificate: x509.Certificate, now: datetime) -> bool:

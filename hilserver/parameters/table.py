@@ -105,7 +105,8 @@ class Parameter:
 
 
 def _of_field(section: str, item: "Field[object]") -> Parameter:
-    about, bounds = item.metadata, item.metadata["bounds"]
+    about = item.metadata
+    bounds = item.metadata["bounds"]
     return Parameter(
         name=f"{section}.{item.name}",
         unit=about["unit"] or unit_of(item.name),

@@ -90,7 +90,8 @@ def read(robot: RobotParameters) -> dict[str, float]:
         elif name == GAIN:
             value = None if robot.rotation_gain in GEOMETRIC_GAINS else robot.k_om
         elif section in _PARTS:
-            value = getattr(_part(robot, section), key)
+            part = getattr(robot, _PARTS[section]) if _PARTS[section] else robot
+            value = getattr(part, key)
         else:
             continue
         found[name] = nan if value is None else float(value)
@@ -101,10 +102,6 @@ def geometric_gain(robot: RobotParameters) -> str:
     """Return the name that null stands for in the robot's `kinematics.rotation_gain`."""
     gain = robot.rotation_gain
     return str(gain) if gain in GEOMETRIC_GAINS else GEOMETRIC_GAINS[0]
-
-
-def _part(robot: RobotParameters, section: str) -> Any:
-    return getattr(robot, _PARTS[section]) if _PARTS[section] else robot
 
 
 def with_values(
@@ -142,4 +139,6 @@ def _plain(name: str, value: float, geometric_gain: str) -> Any:
         return geometric_gain if name == GAIN else None
     if name == EXCLUSIVE:
         return bool(value)
-    return int(value) if name.endswith("yaw_sign") and value.is_integer() else value
+    if name.endswith("yaw_sign") and value.is_integer():
+        return int(value)
+    return value

@@ -59,8 +59,6 @@ def described(error: BaseException, most: int = 300) -> str:
             where = f" ({file.name}:{trace.tb_lineno})"
         trace = trace.tb_next
     text = " ".join(str(error).split())[:most]
-    return (
-        f"{type(error).__name__}: {text}{where}"
-        if text
-        else f"{type(error).__name__}{where}"
-    )
+    if text:
+        return f"{type(error).__name__}: {text}{where}"
+    return f"{type(error).__name__}{where}"

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from hilserver.errors import FailedError, reason
+from hilserver.small_file import sync_folder
 
 PARTIAL = ".part"
 _OPEN_FILES = ("/dev/std", "/dev/fd/", "/proc/")
@@ -87,18 +88,3 @@ def write_whole(path: Path, content: bytes) -> None:
         file.flush()
         os.fsync(file.fileno())
     sync_folder(path.resolve().parent)
-
-
-def sync_folder(folder: Path) -> None:
-    """Let the disk hold the names in a folder: after a loss of power, a new one is there."""
-    try:
-        fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    except PermissionError:  # one may be allowed to write there, but not to look
-        return
-    try:
-        os.fsync(fd)
-    except OSError as error:
-        if error.errno != errno.EINVAL:  # a disk that cannot do this for folders
-            raise
-    finally:
-        os.close(fd)

@@ -30,7 +30,8 @@ class Writer:
     ) -> None:
         self.lost_line = lost_line
         self.encoding = stream.encoding
-        self._stream, self._is_terminal = stream, stream.isatty()
+        self._stream = stream
+        self._is_terminal = stream.isatty()
         self._fd = -1  # a stream in memory never blocks
         with contextlib.suppress(OSError):
             self._fd = stream.fileno()

@@ -71,11 +71,9 @@ class Residuals:
             name: sum(own) / len(own) for name, own in self._squares.items() if own
         }
         self._restart(t_s)
-        return (
-            {n: math.log(mean + LEAST_SQUARE) for n, mean in means.items()}
-            if is_driven
-            else {}
-        )
+        if is_driven:
+            return {n: math.log(mean + LEAST_SQUARE) for n, mean in means.items()}
+        return {}
 
     def _restart(self, t_s: float) -> None:
         self._begun_s = t_s

@@ -17,7 +17,8 @@ class ChangeWatch:
 
     def __init__(self, world: World) -> None:
         self._world = world
-        self._residuals, self._detector = Residuals(), ChangeDetector()
+        self._residuals = Residuals()
+        self._detector = ChangeDetector()
 
     def restart(self) -> None:
         """Forget what was usual."""

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from hilserver.errors import FailedError
+from hilserver.small_file import sync_folder
 
 FILE: Final = "recalibration.jsonl"
 LARGEST_BYTES: Final = 100_000_000
@@ -96,6 +97,8 @@ class History:
                 os.fsync(fd)
             finally:
                 os.close(fd)
+            if not self._size:
+                sync_folder(self.path.parent)  # the file's name is new
         except OSError as error:
             raise FailedError(
                 f"{self.path}: cannot be written: {(error.strerror or str(error)).lower()}"

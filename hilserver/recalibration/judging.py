@@ -65,7 +65,8 @@ class OrderJudge:
         self._todo = order.todo
         config = Config.model_validate(order.config)
         assembly = assemble_config(config, Path(order.folder))
-        self._config_sha256, self._sampling = config.sha256, Sampling.of(config)
+        self._config_sha256 = config.sha256
+        self._sampling = Sampling.of(config)
         self._least_change = config.recalibration.least_change
         robot = assembly.robot
         if order.parameters:
@@ -217,7 +218,8 @@ def proposed(
     """
     causes: dict[str, dict[str, ProposedTerm]] = {}
     for fitted in found:
-        p, name = fitted.parameter, fitted.name
+        p = fitted.parameter
+        name = fitted.name
         own = causes.setdefault(cause_of(name).name, {})
         own[name] = ProposedTerm(p.value, p.unit, p.ci95, loaded.get(name))
     terms: dict[str, ProposedTerm] = {}

@@ -98,7 +98,8 @@ class RecalibrationLoop:
 
     def todo(self, window: int, loaded: Values, now_s: float) -> Todo | None:
         """Return what to do with a complete window; None if nothing."""
-        candidate, proposal = self._candidate, self.proposal
+        candidate = self._candidate
+        proposal = self.proposal
         if candidate is not None and candidate.loaded != loaded:
             candidate = self._candidate = None
         measure = None
@@ -118,11 +119,9 @@ class RecalibrationLoop:
             level=0.0 if candidate is None else candidate.level,
             look=is_due or self.changed is not None,
         )
-        return (
-            found
-            if found.look or candidate is not None or measure is not None
-            else None
-        )
+        if found.look or candidate is not None or measure is not None:
+            return found
+        return None
 
     def take(self, todo: Todo, result: JudgeResult, now_s: float) -> list[Note]:
         """Take the result of a window; return what is to be recorded and announced."""
@@ -170,7 +169,8 @@ class RecalibrationLoop:
         self._candidate = None
         if candidate is None:
             return []
-        looked, level = candidate.looked, candidate.level
+        looked = candidate.looked
+        level = candidate.level
         fields: dict[str, Any] = {"window": todo.window, "named_on": candidate.window}
         fields |= {"level": level, "p": compared.p}
         fields |= {"resolution": compared.resolution, "blocks": compared.blocks}
@@ -195,9 +195,10 @@ class RecalibrationLoop:
             level=level,
             windows=(candidate.window, todo.window),
         )
-        waiting = (
-            [self.proposal] if self.proposal is not None and self.proposal.waits else []
-        )
+        if self.proposal is not None and self.proposal.waits:
+            waiting = [self.proposal]
+        else:
+            waiting = []
         if any(made.resembles(other) for other in (*self._rejected, *waiting)):
             return [Note("confirmation", {**fields, "verdict": "known"})]
         notes = [Note("confirmation", {**fields, "verdict": "confirmed"})]
@@ -252,11 +253,10 @@ class RecalibrationLoop:
             If no proposal has that number, or it is already decided.
         """
         if self.proposal is None or self.proposal.number != number:
-            newest = (
-                "there is no proposal"
-                if self.proposal is None
-                else f"that is {self.proposal.number}"
-            )
+            if self.proposal is None:
+                newest = "there is no proposal"
+            else:
+                newest = f"that is {self.proposal.number}"
             raise ControlRefused(
                 f"{step}: {number} is not the latest proposal: {newest}"
             )

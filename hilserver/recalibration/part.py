@@ -147,7 +147,8 @@ class Recalibration(Part):
         self, window: RecalibrationWindow, todo: Todo, now_s: float
     ) -> None:
         sha256 = await asyncio.to_thread(lambda: window.sha256)
-        world, config = self._world, self._config
+        world = self._world
+        config = self._config
         _, others = patches.split(self._differing)
         cores = process.other_cores(world.pacing_thread(), config.cpu)
         memory = round(config.memory_mb * 1e6)

@@ -90,7 +90,8 @@ def piece(seed: int, length_s: float, causes: Mapping[str, float]) -> DrivePiece
 
 def rows(seed: int) -> Iterator[tuple[float, dict[str, float]]]:
     """Yield time [s] and values of every row, without end; the cause appears at `APPEARS_S`."""
-    begin_s, at = 0.0, None
+    begin_s = 0.0
+    at = None
     for made in _pieces(seed):
         at = made.first if at is None else at
         tag = np.array([made.columns[name] for name in TAG])
@@ -142,7 +143,9 @@ async def drive(server: ControllerServer, seed: int) -> None:
         n: n for n in MEASURES
     }
     source = rows(seed)
-    begin_s, begun, sequence = math.nan, datetime.now(UTC), 0
+    begin_s = math.nan
+    begun = datetime.now(UTC)
+    sequence = 0
     offered: dict[str, object] = {}
     # in a thread: the first row compiles the injector
     while ahead := await asyncio.to_thread(
@@ -150,10 +153,8 @@ async def drive(server: ControllerServer, seed: int) -> None:
     ):
         for t_s, values in ahead:
             if math.isnan(begin_s):
-                begin_s, begun = (
-                    loop.time() - t_s,
-                    datetime.now(UTC) - timedelta(seconds=t_s),
-                )
+                begin_s = loop.time() - t_s
+                begun = datetime.now(UTC) - timedelta(seconds=t_s)
             offered |= {nodes[n]: v for n, v in values.items() if n in nodes}
             left_s = begin_s + t_s - loop.time()
             if left_s < -LATE_S:

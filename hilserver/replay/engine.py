@@ -64,11 +64,10 @@ class Engine:
                 str(i.get(key))[:16] for i in (self._store.identity, identity)
             )
             kind = ConfigError if key in _OF_THE_CONFIGURATION else LogError
-            remedy = (
-                "use the configuration of its run"
-                if kind is ConfigError
-                else "use the hilserver of its run"
-            )
+            if kind is ConfigError:
+                remedy = "use the configuration of its run"
+            else:
+                remedy = "use the hilserver of its run"
             raise kind(
                 f"{what}: was made with {key} {there}, but here it is {here}; {remedy}, or"
                 " replay its"
@@ -157,7 +156,8 @@ class Comparison:
         ]
         self._names = [s.name for s in outputs]
         self._slots = np.array([s.slots[0] for s in outputs], dtype=np.intp)
-        self._log, self._ticks = log, log.ticks(base_period_ns)
+        self._log = log
+        self._ticks = log.ticks(base_period_ns)
         self._starts = {
             int(s): int(np.argmax(log.segment == s)) for s in np.unique(log.segment)
         }

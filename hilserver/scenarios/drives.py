@@ -50,11 +50,10 @@ def _one(
 
 def _friction_load(seed: int, rng: Random) -> ScenarioDrive:
     load = float(rng.uniform(20.0, 45.0))
-    causes = (
-        {"coulomb_friction": load}
-        if rng.random() < 0.5
-        else {"viscous_load": load / 62.0}
-    )
+    if rng.random() < 0.5:
+        causes = {"coulomb_friction": load}
+    else:
+        causes = {"viscous_load": load / 62.0}
     return _one(
         seed, causes, _expect(LOAD, **_not("controller_gains")), manoeuvre="fast"
     )

@@ -25,7 +25,24 @@ def write(scenario: ThesisScenario, seed: int, folder: Path) -> ScenarioDrive:
             _write_logs(drive.against, folder / AGAINST)
         head = f"# The model to judge scenario {scenario.name} with.\n"
         (folder / CONFIG).write_text(head + drive.config, encoding="utf-8")
-        _write_truth(scenario, seed, drive, folder / SEALED)
+        sealed = folder / SEALED
+        sealed.mkdir(parents=True, exist_ok=True)
+        expected = drive.expectation
+        document = {
+            "scenario": scenario.name,
+            "seed": seed,
+            "thesis": scenario.says,
+            "hidden": drive.hidden,
+            "must_say": [sorted(names) for names in expected.must_say],
+            "together": sorted(expected.together),
+            "must_not_say": sorted(expected.must_not_say),
+            "verdict": expected.verdict,
+            "recipes": {
+                name: asdict(r) for name, r in {**drive.logs, **drive.against}.items()
+            },
+        }
+        text = json.dumps(document, indent=1, default=str) + "\n"
+        (sealed / "truth.json").write_text(text, encoding="utf-8")
     except OSError as error:
         raise FailedError(
             f"{folder}: cannot be written ({error.strerror}); choose another folder with -o."
@@ -38,25 +55,3 @@ def _write_logs(recipes: Mapping[str, Recipe], folder: Path) -> None:
     for name, recipe in recipes.items():
         table, _ = make(recipe)
         table.write_csv(folder / name)
-
-
-def _write_truth(
-    scenario: ThesisScenario, seed: int, drive: ScenarioDrive, folder: Path
-) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    expected = drive.expectation
-    document = {
-        "scenario": scenario.name,
-        "seed": seed,
-        "thesis": scenario.says,
-        "hidden": drive.hidden,
-        "must_say": [sorted(names) for names in expected.must_say],
-        "together": sorted(expected.together),
-        "must_not_say": sorted(expected.must_not_say),
-        "verdict": expected.verdict,
-        "recipes": {
-            name: asdict(r) for name, r in {**drive.logs, **drive.against}.items()
-        },
-    }
-    text = json.dumps(document, indent=1, default=str) + "\n"
-    (folder / "truth.json").write_text(text, encoding="utf-8")

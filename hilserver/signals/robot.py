@@ -110,7 +110,8 @@ def _add_inputs(b: _Builder, ranges: Ranges) -> None:
             ranges.max_rpm,
             f"Set-point of the {wheel} wheel; right wheels are mirrored: forward is negative",
         )
-    linear, angular = ranges.max_linear_m_s, ranges.max_angular_rad_s
+    linear = ranges.max_linear_m_s
+    angular = ranges.max_angular_rad_s
     b.add("twist.linear_m_s", "m/s", in_, -linear, linear, "Commanded forward speed")
     b.add(
         "twist.angular_rad_s",
@@ -126,8 +127,10 @@ def _add_inputs(b: _Builder, ranges: Ranges) -> None:
     for wheel in WHEELS:
         text = f"Duty of the {wheel} wheel straight to the process, bypassing the speed controller"
         b.add(f"wheel.{wheel}.duty_command_pct", "%", in_, -100.0, 100.0, text)
-    byte, boolean = ValueType.BYTE, ValueType.BOOLEAN
-    modes, enabled = ("wheels", "twist", "duty"), ("disabled", "enabled")
+    byte = ValueType.BYTE
+    boolean = ValueType.BOOLEAN
+    modes = ("wheels", "twist", "duty")
+    enabled = ("disabled", "enabled")
     text = "0 wheel set-points, 1 twist, 2 wheel duties"
     b.add("control.mode", "1", in_, 0, len(modes) - 1, text, type_=byte, labels=modes)
     text = "Drive enabled"
@@ -291,7 +294,8 @@ def _robot_outputs() -> list[tuple[str, str, float, float, str]]:
 
 
 def _add_lights(b: _Builder) -> None:
-    out, byte = Direction.OUT, ValueType.BYTE
+    out = Direction.OUT
+    byte = ValueType.BYTE
     text = "Light pattern shown"
     b.add("lights.state", "1", out, 0, len(LIGHTS) - 1, text, type_=byte, labels=LIGHTS)
     for place in CORNERS:
@@ -451,7 +455,8 @@ def _add_samples(b: _Builder) -> None:
 
 def _add_estimate(b: _Builder) -> None:
     """Add the outputs of the observer, in the order of `hilserver.observer.layout`."""
-    out, known = Direction.OUT, []
+    out = Direction.OUT
+    known = []
     for name, unit, size, text in (
         ("x_m", "m", 1e6, "position of the centre of mass, world frame"),
         ("y_m", "m", 1e6, "position of the centre of mass, world frame"),
@@ -472,7 +477,8 @@ def _add_estimate(b: _Builder) -> None:
     text = "Innovation of the newest sample, squared and normalised by its covariance: 1 on average"
     b.add("estimate.nis", "1", out, 0, 1e12, text)
     text = f"State of the observer: {', '.join(f'{i} {s}' for i, s in enumerate(ESTIMATE_STATES))}"
-    last, byte = len(ESTIMATE_STATES) - 1, ValueType.BYTE
+    last = len(ESTIMATE_STATES) - 1
+    byte = ValueType.BYTE
     b.add("estimate.state", "1", out, 0, last, text, type_=byte, labels=ESTIMATE_STATES)
     text = "Navigation samples that were rejected as outliers"
     b.add("estimate.rejected", "1", out, 0, 2**53, text, type_=ValueType.INT64)
@@ -525,7 +531,8 @@ def robot_table(
         type_=ValueType.INT64,
     )
     b.add("sim.time_s", "s", out, 0, 1e9, "Simulated time")
-    words, last = tuple(state.word for state in State), max(State)
+    words = tuple(state.word for state in State)
+    last = max(State)
     text = (
         f"State of the daemon: {', '.join(f'{state} {state.word}' for state in State)}"
     )
@@ -545,7 +552,8 @@ def robot_table(
         b.add(f"{MEASURED}{name}", unit, Direction.IN, low, high, f"Real robot: {text}")
     for wheel in WHEELS:
         text = f"Real robot: set-point that its {wheel} wheel currently follows"
-        name, rpm = f"{MEASURED}wheel.{wheel}.setpoint_rpm", ranges.max_rpm
+        name = f"{MEASURED}wheel.{wheel}.setpoint_rpm"
+        rpm = ranges.max_rpm
         b.add(name, "rpm", Direction.IN, -rpm, rpm, text)
     for name, unit, low, high, text in _body_outputs() if body else ():
         b.add(name, unit, out, low, high, text)

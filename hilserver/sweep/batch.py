@@ -40,7 +40,9 @@ def begin_worker(parent: int, memory_mb: float) -> None:
 def rig_for(job: SweepJob) -> Rig | Stepped:
     """Return what drives the machines of a job."""
     given = job.sweep.controller
-    return Rig(job) if given is None or not given.command else Stepped(job)
+    if given is None or not given.command:
+        return Rig(job)
+    return Stepped(job)
 
 
 _rigs: dict[str, Rig | Stepped] = {}

@@ -97,12 +97,16 @@ def _correlation(a: Array, b: Array) -> float:
     a = a - a.mean()
     b = b - b.mean()
     size = math.sqrt(float((a**2).sum()) * float((b**2).sum()))
-    return float((a * b).sum()) / size if size > 0.0 else 0.0
+    if size > 0.0:
+        return float((a * b).sum()) / size
+    return 0.0
 
 
 def _fisher(r: float, n: int) -> tuple[float, float]:
     if n <= 3 or abs(r) >= 1.0:
-        return (r, r) if abs(r) >= 1.0 else (-1.0, 1.0)
+        if abs(r) >= 1.0:
+            return (r, r)
+        return (-1.0, 1.0)
     width = 1.96 * math.sqrt((1.0 + r * r / 2.0) / (n - 3))
     return math.tanh(math.atanh(r) - width), math.tanh(math.atanh(r) + width)
 
@@ -120,4 +124,6 @@ def median_interval(values: Array) -> tuple[float, float, float]:
 def paired_p(only_first: int, only_second: int) -> float:
     """Return the probability of counts at least this uneven by chance (exact test of McNemar)."""
     n = only_first + only_second
-    return 1.0 if n == 0 else float(stats.binomtest(only_first, n, 0.5).pvalue)
+    if n == 0:
+        return 1.0
+    return float(stats.binomtest(only_first, n, 0.5).pvalue)

@@ -101,4 +101,6 @@ async def _record(
 def _plain(value: Any) -> Any:
     if isinstance(value, np.generic):
         return value.item()
-    return [_plain(v) for v in value] if isinstance(value, list | tuple) else value
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    return value

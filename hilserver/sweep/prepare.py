@@ -100,7 +100,8 @@ class PreparedSweep:
         faults = tuple(self.draws.faults_of(index))
         try:
             robot = replace(self.robot_with(values), seed=seed)
-            p, x = pack(robot).numbers, initial_state(robot).numbers
+            p = pack(robot).numbers
+            x = initial_state(robot).numbers
         except PlantError as error:
             return SentMachine(index, seed, values, faults, refused=str(error))
         state = {int(i): float(x[i]) for i in np.flatnonzero(x)}

@@ -73,7 +73,8 @@ class Rig:
         )
         self.driver = self._driver(assembly)
         # All values of the scenario go into the queue.
-        core, played = self._core, self.job
+        core = self._core
+        played = self.job
         stage = core.stage()
         stage.check(Play(played.scenario, played.scenario_path))
         for index, item in enumerate(played.sweep.faults):
@@ -236,7 +237,9 @@ def distance_to_way(x_m: Array, y_m: Array, way: Array) -> Array:
 def scenario_of(scenario: Scenario, machine: SentMachine) -> Scenario:
     """Return the scenario with the machine's faults."""
     own = tuple(fault for _, fault in machine.faults)
-    return scenario.changed(faults=(*scenario.faults, *own)) if own else scenario
+    if own:
+        return scenario.changed(faults=(*scenario.faults, *own))
+    return scenario
 
 
 def _is_ours(problem: BaseException) -> bool:

@@ -66,7 +66,8 @@ def plan(
     prepared: PreparedSweep, outcome: MachineOutcome, seconds: float, workers: int
 ) -> str:
     """Return what a sweep would do, and how long it would take."""
-    sweep, draws = prepared.sweep, prepared.draws
+    sweep = prepared.sweep
+    draws = prepared.draws
     tried = min(sweep.machines, MOST_TRIED)
     refused = [m.refused for m in map(prepared.machine, range(tried)) if m.p is None]
     duration_s = prepared.job.n_ticks * prepared.assembly.base_period_ns * 1e-9

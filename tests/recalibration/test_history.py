@@ -1,6 +1,7 @@
 """The history: whole lines or none, a chain that shows what was changed, half a line cut off."""
 
 import json
+import os
 import re
 from pathlib import Path
 
@@ -83,6 +84,16 @@ def test_a_full_disk_is_named_and_leaves_nothing(tmp_path, monkeypatch):
     assert (tmp_path / FILE).read_bytes() == before
     history.append("look", window=5)
     assert broken(lines_of(tmp_path)) is None
+
+
+def test_the_disk_holds_the_name_of_a_new_history(tmp_path, monkeypatch):
+    synced = []
+    monkeypatch.setattr(
+        os, "fsync", lambda fd: synced.append(Path(f"/proc/self/fd/{fd}").readlink())
+    )
+    filled(tmp_path)
+    file = tmp_path / FILE
+    assert synced == [file, tmp_path, file, file]
 
 
 def test_every_verdict_stands_in_the_reference_and_has_words_on_the_page():

@@ -402,6 +402,31 @@ async def test_the_log_says_why_a_certificate_is_not_kept(
     assert last == "no: too many others lately"
 
 
+async def test_a_certificate_or_key_is_whole_and_has_its_name_for_good(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The folder is synced after the file has its name; a full disk leaves what was there."""
+    path = tmp_path / "key.pem"
+    synced: list[tuple[Path, bool]] = []
+
+    def sync(fd: int) -> None:
+        synced.append((Path(f"/proc/self/fd/{fd}").readlink(), path.exists()))
+
+    monkeypatch.setattr(os, "fsync", sync)
+    write_private(path, b"key")
+    assert [has_name for _, has_name in synced] == [False, True]
+    assert synced[-1][0] == tmp_path
+
+    def refuse(fd: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", refuse)
+    with pytest.raises(OSError, match="No space"):
+        write_private(path, b"another key")
+    assert path.read_bytes() == b"key"
+    assert os.listdir(tmp_path) == [path.name], "nothing is left beside it"  # noqa: PTH208 - async
+
+
 async def test_key_that_others_can_read_is_refused(pki: Pki, tmp_path: Path) -> None:
     trust = TrustList(tmp_path)
     trust.make_folders()

@@ -64,7 +64,8 @@ def wheels(
 
 def of_wheel(both: BesideModels, w: int) -> Figure:
     """Draw the speed of one wheel, and its set-point."""
-    courses, name = both.courses, WHEEL_WORDS[WHEELS[w]]
+    courses = both.courses
+    name = WHEEL_WORDS[WHEELS[w]]
     plot = plot_of_wheels(both, [w], SETPOINTS[w], SPEEDS[w])
     if SETPOINTS[w] in courses.log:
         # a set-point holds until the next one
@@ -95,7 +96,8 @@ def of_side(both: BesideModels, experiment: Experiment, side: str) -> Figure:
     front, rear = (w for w, name in enumerate(WHEELS) if name.endswith(side[0]))
     plot = plot_of_wheels(both, [front, rear])
     for w, role in ((front, "measured"), (rear, "simulated")):
-        speed, title = courses.wheels_rpm[:, w], WHEEL_WORDS[WHEELS[w]]
+        speed = courses.wheels_rpm[:, w]
+        title = WHEEL_WORDS[WHEELS[w]]
         plot.line(courses.t_s, speed, role, title, run=courses.span)
     title = numbered(f"{side} wheels".capitalize(), experiment.figures[side])
     caption = "Black: front wheel. Orange, dashed: rear wheel."
@@ -113,8 +115,10 @@ def plot_of_wheels(both: BesideModels, which: Sequence[int], *signals: str) -> P
 
 def over_time(both: BesideModels, experiment: Experiment, channel: str) -> Figure:
     """Draw one channel of both models and of the robot, and below it the gaps of the models."""
-    courses, shown = both.courses, both.measured.get(channel)
-    name, column = NAMES[channel], COLUMNS.index(channel)
+    courses = both.courses
+    shown = both.measured.get(channel)
+    name = NAMES[channel]
+    column = COLUMNS.index(channel)
     title = numbered(TITLES[channel], experiment.figures.get(channel))
     curves = {model: values[:, column] for model, values in both.models.items()}
     values = list(curves.values())
@@ -124,7 +128,8 @@ def over_time(both: BesideModels, experiment: Experiment, channel: str) -> Figur
     time_s = span_of(courses.t_s, margin=0.0)
     label = f"{name} [{UNITS[channel]}]"
     plot = Plot(time_s, span_of(*values), "time [s]", label, height=HEIGHT)
-    plots, caption = [plot], ""
+    plots = [plot]
+    caption = ""
     if shown is not None:
         plot.x_label = ""
         plot.line(
@@ -153,7 +158,8 @@ def gaps_over_time(
     )
     plot.level(0.0)
     for model, apart in gaps.items():
-        role, title = GAP_ROLES[model], f"{model} minus measured"
+        role = GAP_ROLES[model]
+        title = f"{model} minus measured"
         plot.line(shown.t_s, apart, role, title, run=shown.span)
     return plot
 
@@ -184,7 +190,8 @@ def to_scale(xy: Array) -> tuple[tuple[float, float], tuple[float, float]]:
     width = WIDTH - MARGIN_LEFT - MARGIN_RIGHT
     height = PATH_HEIGHT - MARGIN_TOP - MARGIN_BOTTOM
     a_pixel_m = max((right - left) / width, (high - low) / height)
-    x, y = 0.5 * (left + right), 0.5 * (low + high)
+    x = 0.5 * (left + right)
+    y = 0.5 * (low + high)
     half_x = 0.5 * a_pixel_m * width
     half_y = 0.5 * a_pixel_m * height
     return (x - half_x, x + half_x), (y - half_y, y + half_y)

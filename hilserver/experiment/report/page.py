@@ -67,7 +67,8 @@ def render(
     origin : list of (str, str)
         What it rests on: names and values.
     """
-    courses, gaps = both.courses, both.gaps()
+    courses = both.courses
+    gaps = both.gaps()
     curves = [figures.over_time(both, experiment, channel) for channel in both.channels]
     if "x" in both.channels:
         curves.insert(2, figures.path(both, experiment))

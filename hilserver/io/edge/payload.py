@@ -157,7 +157,9 @@ def _value(signal: Signal, frame: Frame) -> float | str | bool:
         return number if math.isfinite(number) else 0.0
     if signal.type is ValueType.BOOLEAN:
         return bool(number)
-    return str(int(number)) if signal.type is ValueType.INT64 else int(number)
+    if signal.type is ValueType.INT64:
+        return str(int(number))
+    return int(number)
 
 
 def _quality(code: int) -> int:

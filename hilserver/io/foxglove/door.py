@@ -70,7 +70,9 @@ class ViewerDoor:
     @property
     def port(self) -> int:
         """The port that it listens on."""
-        return int(self._server.sockets[0].getsockname()[1]) if self._server else 0
+        if self._server:
+            return int(self._server.sockets[0].getsockname()[1])
+        return 0
 
     async def open(self, host: str, port: int, behind: tuple[str, int]) -> None:
         """Listen; OSError if that is not possible."""

@@ -230,8 +230,6 @@ class FoxgloveEndpoint(Part):
 def foxglove_error() -> type[Exception]:
     """Return the SDK's error class, whose place differs between versions."""
     found = getattr(foxglove, "FoxgloveError", RuntimeError)
-    return (
-        found
-        if isinstance(found, type) and issubclass(found, Exception)
-        else RuntimeError
-    )
+    if isinstance(found, type) and issubclass(found, Exception):
+        return found
+    return RuntimeError

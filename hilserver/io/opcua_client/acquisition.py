@@ -76,7 +76,8 @@ class Acquisition:
 
     async def _subscribe(self) -> str:
         """Stay subscribed; return, in mode auto, why polling is better."""
-        config, intake = self.config, self.intake
+        config = self.config
+        intake = self.intake
         subscription = PeerSubscription(
             self.session,
             intake,
@@ -146,12 +147,14 @@ class Acquisition:
                 names, nodes = await self._resolved()
                 request = read_request(nodes, ua.AttributeIds.Value)
                 complete = len(names) == len(self.nodes)
-                look_again_at = (
-                    float("inf") if complete else time.monotonic() + LOOK_AGAIN_S
-                )
+                if complete:
+                    look_again_at = float("inf")
+                else:
+                    look_again_at = time.monotonic() + LOOK_AGAIN_S
             if names:
                 values = await self.session.read(request)
-                now_ns, judged = time.monotonic_ns(), map(judge, values)
+                now_ns = time.monotonic_ns()
+                judged = map(judge, values)
                 self.intake.receive(zip(names, judged, strict=True), now_ns)
 
         await every(self.config.poll_ms / 1000, cycle, self._skipped)

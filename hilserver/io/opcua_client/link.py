@@ -39,11 +39,10 @@ class PeerLink(Peer):
         ):
             raise ValueError(f"peer '{config.name}' asks for a protected link")
         # Without security nothing is asked of certificates and users.
-        self.kinds = (
-            OF_OPCUA
-            if security
-            else OF_OPCUA - {FaultKind.CERTIFICATE, FaultKind.LOG_IN}
-        )
+        if security:
+            self.kinds = OF_OPCUA
+        else:
+            self.kinds = OF_OPCUA - {FaultKind.CERTIFICATE, FaultKind.LOG_IN}
         super().__init__(config, **around)
         self._security = security
 

@@ -73,7 +73,8 @@ def _about(
             " name of the certificate into endpoint or peer_host"
         )
     if verdict is CertificateVerdict.TIME:
-        begin, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+        begin = certificate.not_valid_before_utc
+        end = certificate.not_valid_after_utc
         return (
             f"its certificate is valid from {begin:%Y-%m-%d %H:%M} to {end:%Y-%m-%d %H:%M} UTC,"
             " not now: renew it, or set the clocks"
@@ -107,11 +108,10 @@ def token_missing(
 ) -> LinkRefusedError:
     """Return that the endpoint does not accept our kind of log-in."""
     kinds = _listed([policy.TokenType.name for policy in offered]) or "nothing"
-    remedy = (
-        "set user and password_file"
-        if user is None
-        else "remove user and password_file"
-    )
+    if user is None:
+        remedy = "set user and password_file"
+    else:
+        remedy = "remove user and password_file"
     what = "anonymous clients" if user is None else "user names"
     return LinkRefusedError(
         FaultKind.LOG_IN,
@@ -138,11 +138,10 @@ def refused_by_peer(
     code = ua.StatusCode(ua.UInt32(error.code)).name
     if code in _LOG_IN_CODES:
         who = "anonymous clients" if user is None else f"user '{user}'"
-        remedy = (
-            "set user and password_file"
-            if user is None
-            else "check user and password_file"
-        )
+        if user is None:
+            remedy = "set user and password_file"
+        else:
+            remedy = "check user and password_file"
         kind = FaultKind.LOG_IN
         sentence = f"it refuses {who}: {remedy}"
     elif code in _POLICY_CODES:

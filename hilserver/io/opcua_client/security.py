@@ -83,10 +83,10 @@ class LinkSecurity:
         self.user = security.user
         self._password_file = security.password_file and folder / security.password_file
         self._shown: tuple[bytes, str] | None = None
+        self._identity: _Identity | None = None
         try:
-            self._identity = (
-                _identity(config, opcua, folder) if security.is_secure else None
-            )
+            if security.is_secure:
+                self._identity = _identity(config, opcua, folder)
             if self._password_file is not None:
                 _read_password(self._password_file)
         except ConfigError as error:
@@ -219,11 +219,10 @@ class LinkSecurity:
     ) -> LinkRefusedError:
         identity = self._identity
         assert identity is not None
-        remedy = (
-            identity.trust_with
-            if is_kept
-            else f"put it into {identity.trust.folder}/trusted"
-        )
+        if is_kept:
+            remedy = identity.trust_with
+        else:
+            remedy = f"put it into {identity.trust.folder}/trusted"
         return refusal.certificate_refused(verdict, data, self._host, uri, remedy)
 
 

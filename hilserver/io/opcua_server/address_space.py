@@ -132,9 +132,10 @@ class AddressSpaceBuilder:
         attributes.DataType = ua.NodeId(row.data_type)
         attributes.ValueRank = -1 if row.length is None else 1
         attributes.ArrayDimensions = None if row.length is None else [row.length]
-        attributes.AccessLevel = (
-            _READ_WRITE if row.writable else ua.AccessLevel.CurrentRead.mask
-        )
+        if row.writable:
+            attributes.AccessLevel = _READ_WRITE
+        else:
+            attributes.AccessLevel = ua.AccessLevel.CurrentRead.mask
         attributes.UserAccessLevel = attributes.AccessLevel
         # 0: every change is reported, there is no sampling between plant and subscriber.
         attributes.MinimumSamplingInterval = 0.0

@@ -304,11 +304,10 @@ class RobotApplication(Application):
         """Answer one call; the method can see who called."""
         who = _name_of(session)
         method = self._methods.get(request.MethodId)
-        other = (
-            self._other_driver(session)
-            if method is not None and method.disturbs
-            else ""
-        )
+        if method is not None and method.disturbs:
+            other = self._other_driver(session)
+        else:
+            other = ""
         if other and self.may_call(session.user, request.MethodId):
             return refused(_Codes.BadUserAccessDenied, other)
         mine = CALLER.set(who)

@@ -54,8 +54,9 @@ class ParameterVariables:
                 refused[node] = Refused(Refusal.TYPE_MISMATCH, "the type is Double")
             else:
                 values[node.removeprefix(PARAMETERS)] = variant.Value
-        found = (
-            {} if self._parameters is None else self._parameters.write(source, values)
-        )
+        if self._parameters is None:
+            found = {}
+        else:
+            found = self._parameters.write(source, values)
         self.publish()
         return refused | {PARAMETERS + name: why for name, why in found.items()}

@@ -73,11 +73,10 @@ class OpcUaServer(Part):
             config.is_secure and config.anonymous_role in (None, Role.OBSERVER)
         )
         protection = "certificates" if config.is_secure else "policy None"
-        who = (
-            "users"
-            if config.anonymous_role is None
-            else f"{config.anonymous_role.name.lower()}"
-        )
+        if config.anonymous_role is None:
+            who = "users"
+        else:
+            who = f"{config.anonymous_role.name.lower()}"
         return {
             "opcua_access": {
                 "ok": not is_open,
@@ -148,7 +147,8 @@ class OpcUaServer(Part):
     supervise = publish_diagnostics
 
     async def _build(self, server: HardenedServer) -> None:
-        iserver, world = server.iserver, self._world
+        iserver = server.iserver
+        world = self._world
         uris = model.NAMESPACE_URI, model.DI_NAMESPACE_URI
         robot_index, di_index = [await server.register_namespace(uri) for uri in uris]
         builder = AddressSpaceBuilder(iserver.node_mgt_service, robot_index, di_index)
@@ -168,7 +168,8 @@ class OpcUaServer(Part):
         for name, signal_place in self._variables.places.items():
             builder.set_place(builder.node_id(name), signal_place)
         self._parameters = ParameterVariables(world.parameters, place)
-        self._owner_place, self._owner_shown = place(model.CONTROL_SOURCE), ""
+        self._owner_place = place(model.CONTROL_SOURCE)
+        self._owner_shown = ""
         self._diagnostics = {
             group: Diagnostics(
                 builder,

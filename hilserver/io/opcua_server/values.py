@@ -76,11 +76,10 @@ class SignalPlace(AttributeValue):  # type: ignore[misc]
         code_of = self._variables.code
         values = self._variables.values
         status = self._variables.status
-        code = (
-            status[slots[0]]
-            if len(slots) == 1
-            else worst([status[slot] for slot in slots])
-        )
+        if len(slots) == 1:
+            code = status[slots[0]]
+        else:
+            code = worst([status[slot] for slot in slots])
         numbers = [values[slot] for slot in slots]
         if code < 0:
             code = int(ua.StatusCodes.BadWaitingForInitialData)

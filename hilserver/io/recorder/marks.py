@@ -51,11 +51,9 @@ class Marks:
     """All marks beside an image, for its daemon."""
 
     def __init__(self, image: ImageReader, name: str, batch_frames: int) -> None:
-        self._image, self._path, self._prefix = (
-            image,
-            path_of(name),
-            path_of(_prefix(name)).name,
-        )
+        self._image = image
+        self._path = path_of(name)
+        self._prefix = path_of(_prefix(name)).name
         self._room = image.control.ring_length - batch_frames - MARGIN_FRAMES
         self._given_up: dict[Path, int] = {}
 

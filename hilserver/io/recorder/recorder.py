@@ -42,14 +42,20 @@ class Recorder:
         self._slots = self._choose(settings.signals)
         self._utc_ns = time.time_ns() - time.monotonic_ns()
         self._series = FileSeries(settings)
-        self._writing = WriteBehind(
-            lambda: self._series.open(self._run, self._slots, self._utc_ns),
-            self._series.is_full,
-            self._want_state,
-            settings.buffer_bytes,
-            self._series.check,
-        )
-        self._rotate_s, self._file_began = settings.rotate_s, 0
+        try:
+            self._writing = WriteBehind(
+                lambda: self._series.open(self._run, self._slots, self._utc_ns),
+                self._series.is_full,
+                self._want_state,
+                settings.buffer_bytes,
+                self._series.check,
+            )
+        except TimeoutError as error:
+            raise FailedError(
+                f"{settings.path}: {error}; see whether its disk answers"
+            ) from None
+        self._rotate_s = settings.rotate_s
+        self._file_began = 0
         self._period_s = int(self._run["base_period_ns"]) * 1e-9
         self._thinner = Thinner(self._slots) if settings.sparse else None
         self._asked_s: float | None = None
@@ -99,7 +105,8 @@ class Recorder:
         FailedError if the disk is full or the file can no longer be written.
         """
         end_s = None if duration_s is None else time.monotonic() + duration_s
-        next_s, is_growth_said = time.monotonic(), False
+        next_s = time.monotonic()
+        is_growth_said = False
         while not self.stop.is_set() and self._writing.error is None:
             now_s = time.monotonic()
             gone = False
@@ -162,7 +169,8 @@ class Recorder:
 
     def _rotate(self, batch: Segmented) -> None:
         """Begin the next file when the present one is long enough."""
-        first, last = int(batch.frames.ticks[0]), int(batch.frames.ticks[-1])
+        first = int(batch.frames.ticks[0])
+        last = int(batch.frames.ticks[-1])
         began = self._file_began
         if not 0 < began <= first:  # the first batch, or time has gone back
             self._file_began = first
@@ -189,7 +197,8 @@ class Recorder:
             self._source.ask_for_state()
         counts = (self._source.lost, self._writing.dropped)
         if counts != self._reported and now_s - self._reported_s > SAY_AGAIN_S:
-            self._reported, self._reported_s = counts, now_s
+            self._reported = counts
+            self._reported_s = now_s
             _say(f"{_losses(*counts)} so far")
 
     def _growth(self, n_bytes: int) -> str:

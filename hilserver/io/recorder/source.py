@@ -53,9 +53,10 @@ class FrameSource:
         self._last_tick: int | None = None
         self._segment = 0
         self._changes = Changes(self._reader)
-        self._edition = (
-            self._reader.region("edition")[0][0] if not self._reader.head else None
-        )
+        if not self._reader.head:
+            self._edition = self._reader.region("edition")[0][0]
+        else:
+            self._edition = None
         slots = (
             signal["slots"]
             for signal in self.description["signals"]
@@ -187,9 +188,10 @@ class FrameSource:
         if kind != REQUEST_SAVE:
             start = self._start_without_state
             self._start_without_state = None
-            segment = (
-                start[0] if start is not None and start[1] == tick else segment + 1
-            )
+            if start is not None and start[1] == tick:
+                segment = start[0]
+            else:
+                segment = segment + 1
         return RecordedState(segment, tick, words)
 
     def daemon_is_gone(self) -> bool:

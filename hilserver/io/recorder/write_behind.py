@@ -11,6 +11,8 @@ from hilserver.logs.writer import Segmented
 
 FLUSH_EVERY_S = 0.2
 SYNC_EVERY_S = 1.0
+OPEN_WITHIN_S = 60.0
+"""For the first file; a disk in the network that is gone would never answer."""
 
 
 class NextFile:
@@ -25,7 +27,7 @@ class WriteBehind:
 
     Frames beyond the buffer are dropped and counted; `check` raises if the recording has to end,
     and `on_new_file` is called in the writing thread. What the first `next_writer` raises, this
-    does.
+    does; TimeoutError if it has not returned after `OPEN_WITHIN_S`.
     """
 
     def __init__(
@@ -51,7 +53,9 @@ class WriteBehind:
         self._is_begun = threading.Event()
         self._thread = threading.Thread(target=self._run, name="writer", daemon=True)
         self._thread.start()
-        self._is_begun.wait()  # set whatever happens
+        if not self._is_begun.wait(OPEN_WITHIN_S):
+            self._closing = True  # should it still be opened, it is completed at once
+            raise TimeoutError(f"no file has been opened for {OPEN_WITHIN_S:g} s")
         if self.error is not None:
             raise self.error
 

@@ -95,7 +95,8 @@ class ShieldLink(Part):
             kinds=ShieldFault,
             is_exact=True,  # the thread of the line stamps arrivals
         )
-        max_rpm, gains = world.table["wheel.fl.setpoint_rpm"].high, HostGains(world)
+        max_rpm = world.table["wheel.fl.setpoint_rpm"].high
+        gains = HostGains(world)
         self.device = Device(
             config, status, self._source, max_rpm=max_rpm, apply=gains.apply
         )
@@ -133,7 +134,9 @@ class ShieldLink(Part):
     def address(self) -> str:
         """The path that a host opens."""
         line = self._line
-        return "" if line is None else str(line.link or line.path)
+        if line is None:
+            return ""
+        return str(line.link or line.path)
 
     async def start(self) -> None:
         """Open the line and answer on it; FailedError if the line cannot be opened."""
@@ -173,11 +176,10 @@ class ShieldLink(Part):
 
         Without the line's pace a host could keep it busy for ever, so it then has no priority.
         """
-        priority = (
-            self._world.config.scheduler.realtime.priority - 1
-            if self._config.pace
-            else 0
-        )
+        if self._config.pace:
+            priority = self._world.config.scheduler.realtime.priority - 1
+        else:
+            priority = 0
         return RealtimeSettings(priority=max(priority, 0))
 
     def _end_thread(self) -> None:

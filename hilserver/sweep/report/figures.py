@@ -47,11 +47,10 @@ def distribution(name: str, margins: Array, unit: str) -> Figure | None:
             )
     plot.upright(0.0)
     failing = int((margins < 0.0).sum())
-    beside = (
-        f" {endless} have none: drive too short, or value not a number."
-        if endless
-        else ""
-    )
+    if endless:
+        beside = f" {endless} have none: drive too short, or value not a number."
+    else:
+        beside = ""
     caption = f"{failing} of {int((~np.isnan(margins)).sum())} machines fail.{beside}"
     return Figure(picture([plot], f"margins of {name}"), name, caption)
 

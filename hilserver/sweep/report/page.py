@@ -86,9 +86,10 @@ def _judged(table: MachineTable, name: str, n: int) -> JudgedRequirement:
     driven = margins[~np.isnan(margins)]
     met = int((driven >= 0.0).sum())
     low, high = exact_interval(met, n)
-    faults = (
-        {f: v for f, v in table.faults.items() if np.ptp(v) > 0.0} if len(table) else {}
-    )
+    if len(table):
+        faults = {f: v for f, v in table.faults.items() if np.ptp(v) > 0.0}
+    else:
+        faults = {}
     finite = np.where(np.isneginf(margins), np.nan, margins)
     return JudgedRequirement(
         name,

@@ -5,6 +5,7 @@ import threading
 
 import pytest
 
+from hilserver.io.recorder import write_behind
 from hilserver.io.recorder.series import FileSeries, Settings
 from hilserver.io.recorder.write_behind import WriteBehind
 from hilserver.logs import read_log
@@ -66,6 +67,24 @@ def test_a_disk_that_never_answers_does_not_hold_the_end_up():
     behind.put(batch_of(ramp(10)))
     assert not behind.close(0.05)
     disk.go.set()
+
+
+def test_a_disk_that_never_opens_a_file_is_given_up(monkeypatch):
+    """And a file that is opened after all is completed, with nothing in it."""
+    monkeypatch.setattr(write_behind, "OPEN_WITHIN_S", 0.05)
+    disk = SlowDisk()
+    closed = threading.Event()
+    disk.close = closed.set
+
+    def open_late():
+        assert disk.go.wait(120)
+        return disk
+
+    with pytest.raises(TimeoutError, match=r"opened for 0\.05 s"):
+        WriteBehind(open_late, lambda _: False, lambda: None, 10**6)
+    disk.go.set()
+    assert closed.wait(120)
+    assert not disk.batches
 
 
 def test_a_full_disk_ends_the_writing_and_closes_the_file():
