@@ -1,15 +1,26 @@
-"""The topics of a bag that hilserver writes: every signal as float64, plus EduArt's topics."""
+"""The topics of a bag that hilserver writes: every signal as float64, plus those of its flavour."""
 
+import contextlib
 import math
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
 
+from hilserver.config.plant import (
+    KinematicsConfig,
+    PlantConfig,
+    SensorsConfig,
+    TofConfig,
+    to_parameters,
+)
 from hilserver.logs.changes import TOPIC as CHANGES
 from hilserver.logs.mcap_writer import TOPIC as FRAMES
 from hilserver.logs.message import SCHEMA_NAME
+from hilserver.logs.provenance import configuration_of, tag_ticks
+from hilserver.plant.packing import pack
 from hilserver.ros import outgoing
-from hilserver.ros.flavours import EXTRAS, FLAVOURS, Published
+from hilserver.ros.flavours import EXTRAS, FLAVOURS, Flavour, Published
 from hilserver.ros.robot import Odometer, RosFrame, Shape
 from hilserver.ros.types import Types
 
@@ -24,21 +35,41 @@ STATE_TEXT: Final = "int64 segment\nint64 tick\nint64[] words\n"
 TARGET: Final = Published(
     "iotbot/rpm", "iotbot_interface/msg/RotationSpeed", outgoing.rpm_target
 )
+_TAG: Final = EXTRAS["pose_stamped"]
+_EDUART_FLAVOUR: Final = FLAVOURS["iotbot_shield"]
 EDUART: Final[tuple[Published, ...]] = (
     TARGET,
-    *FLAVOURS["iotbot_shield"].published,
-    EXTRAS["pose_stamped"],
+    *_EDUART_FLAVOUR.published,
+    _TAG,
 )
 """As a recorder next to the real robot writes them: float32, 50 times a second."""
 
 
-def absolute(topic: str) -> str:
-    """Return a topic's name in a bag."""
-    return topic if topic.startswith("/") else f"/{topic}"
-
-
 _MADE_UP: Final = {"iotbot/temperature": "shield.temperature_degc"}
 """Signals for which the live node has a substitute, and a bag has none."""
+
+
+def _program(run: Mapping[str, Any]) -> tuple[Flavour, Shape]:
+    """Return the robot program of a run, and the dimensions that its messages need."""
+    # EduArt's messages hold no dimensions
+    eduart = _EDUART_FLAVOUR, Shape(1.0, 1.0, 1.0, 1.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+    try:
+        found = configuration_of(run)
+        flavour = FLAVOURS[found["ros2"]["flavour"]]
+        if flavour is _EDUART_FLAVOUR:
+            return eduart
+        sensors = SensorsConfig.model_validate(found["sensors"])
+        slices_ms = found["scheduler"]["slices"]
+        robot = to_parameters(
+            PlantConfig.model_validate(found["plant"]),
+            KinematicsConfig.model_validate(found["kinematics"]),
+            # the file of its hall may be elsewhere by now
+            sensors.changed(tof={"hall": TofConfig().hall}),
+            {name: slice_ms * 1e-3 for name, slice_ms in slices_ms.items()},
+        )
+    except (ValueError, KeyError, TypeError):  # of another version, or a foreign log
+        return eduart
+    return flavour, Shape.of(robot, pack(robot))
 
 
 class _Row(dict[str, float]):
@@ -51,9 +82,10 @@ class _Row(dict[str, float]):
         return value
 
 
-class Eduart:
-    """Turns frames into EduArt's messages, as far as the recorded signals allow.
+class RobotTopics:
+    """Turns frames into the messages of a robot program, as far as the recorded signals allow.
 
+    The configuration of the run says which program, by `ros2.flavour`; EduArt's if none is known.
     A message exists only where its data do, and no more often than its source measures: the shield
     sends everything at its own rate, but the tag comes from a node of its own.
     """
@@ -62,26 +94,33 @@ class Eduart:
         self,
         types: Types,
         names: list[str],
-        period_ns: int,
-        tag_ticks: int | None = None,
+        run: Mapping[str, Any],
     ) -> None:
-        nowhere = Shape(
-            1.0, 1.0, 1.0, 1.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0
-        )  # dimensions are in none of these messages
-        self._robot = RosFrame(types, nowhere, Odometer(nowhere))
+        # Foreign rows come at any time: with the longest period, each becomes a message.
+        period_ns = 1_000_000_000 if run.get("foreign") else int(run["base_period_ns"])
+        flavour, shape = _program(run)
+        self._robot = RosFrame(types, shape, Odometer(shape))
+        self._space = flavour.namespace
         self._names = names
         zeros = _Row(dict.fromkeys(names, 0.0))
-        self.topics = [p for p in EDUART if self._made(p, zeros)]
+        others = *flavour.published, _TAG
+        asked = EDUART if flavour is _EDUART_FLAVOUR else others
+        self.topics = [p for p in asked if self._made(p, zeros)]
         self.every = {
             published.topic: max(
                 1, round((published.period_s or 1.0) * 1e9 / period_ns)
             )
             for published in self.topics
         }
-        tag = EXTRAS["pose_stamped"].topic
-        if tag_ticks is not None and tag in self.every:
-            self.every[tag] = tag_ticks
+        ticks = tag_ticks(run)
+        if ticks is not None and _TAG.topic in self.every:
+            self.every[_TAG.topic] = ticks
         self._latest: dict[str, int] = {}
+
+    def absolute(self, topic: str) -> str:
+        """Return a topic's name in a bag."""
+        space = "" if topic.startswith("/") else f"/{self._space}/"
+        return f"{space}{topic}".replace("//", "/")
 
     def _made(self, published: Published, row: _Row) -> list[Any]:
         """Return the messages of a topic; none if the frame lacks their data."""
@@ -110,4 +149,6 @@ class Eduart:
             return []
         row = _Row(zip(self._names, values.tolist(), strict=True))
         self._robot.stamp_ns = stamp_ns
+        with contextlib.suppress(KeyError):
+            self._robot.odometer.see(row)
         return [(p.topic, message) for p in due for message in self._made(p, row)]

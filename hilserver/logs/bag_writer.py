@@ -1,7 +1,7 @@
 """ROS 2 bags, with the package `rosbags`: MCAP or sqlite3.
 
-``/hilserver/frame`` holds every signal as float64 with its status, so that nothing is lost;
-EduArt's float32 topics are what a recorder would have seen on the real robot.
+``/hilserver/frame`` holds every signal as float64 with its status, so that nothing is lost; the
+topics of the flavour are what a recorder would have seen beside the real robot.
 """
 
 import json
@@ -16,7 +16,6 @@ from hilserver.logs import bag_topics as topics
 from hilserver.logs import changes as sparse
 from hilserver.logs.log import RecordedState
 from hilserver.logs.message import CDR_LITTLE_ENDIAN, make_layout
-from hilserver.logs.provenance import tag_ticks
 from hilserver.logs.writer import Segmented, size_of
 from hilserver.ros.types import Types
 from hilserver.status import BAD
@@ -50,11 +49,7 @@ class BagWriter:
         self._types = Types()
         self._types.add(topics.FRAME_TYPE, self._layout.schema)
         self._types.add(topics.STATE_TYPE, topics.STATE_TEXT)
-        # Foreign rows come at any time: with the longest period, each becomes a message.
-        period_ns = 1_000_000_000 if run.get("foreign") else int(run["base_period_ns"])
-        self._eduart = topics.Eduart(
-            self._types, list(self._layout.names), period_ns, tag_ticks(run)
-        )
+        self._robot = topics.RobotTopics(self._types, list(self._layout.names), run)
         self._writer = _opened(path, storage)
         self._held: list[tuple[str, bytes]] = []
         self._newest_ns: int | None = None
@@ -66,7 +61,7 @@ class BagWriter:
                 (topics.RUN, topics.RUN_TYPE),
                 (topics.CHANGES, topics.RUN_TYPE),
                 (topics.STATES, topics.STATE_TYPE),
-                *((topics.absolute(p.topic), p.type) for p in self._eduart.topics),
+                *((self._robot.absolute(p.topic), p.type) for p in self._robot.topics),
             )
         }
         self.tell(run)
@@ -80,7 +75,7 @@ class BagWriter:
         return self._bytes if self._storage == "sqlite3" else size_of(self._path)
 
     def write(self, batch: Segmented) -> None:
-        """Append a message for each frame, and EduArt's if they are due."""
+        """Append a message for each frame, and the robot's if they are due."""
         frames = batch.frames
         table = np.zeros(len(frames), dtype=self._layout.dtype)
         table["cdr"] = CDR_LITTLE_ENDIAN
@@ -88,7 +83,7 @@ class BagWriter:
         table["tick"], table["planned_ns"] = frames.ticks, frames.planned_ns
         table["values"] = frames.values[:, self._slots]
         table["status"] = frames.status[:, self._slots]
-        # EduArt's messages hold what is known: a tag that is off has measured nothing
+        # the robot's messages hold what is known: a tag that is off has measured nothing
         known = np.where(table["status"] & BAD, np.nan, table["values"])
         stamps = (frames.planned_ns + self._utc_ns).tolist()
         if self._newest_ns is None:
@@ -97,10 +92,9 @@ class BagWriter:
             table, known, stamps, frames.ticks.tolist(), strict=True
         ):
             self._append(topics.FRAMES, stamp_ns, row.tobytes())
-            for topic, message in self._eduart.messages(tick, stamp_ns, values):
-                self._append(
-                    topics.absolute(topic), stamp_ns, self._types.encode(message)
-                )
+            for topic, message in self._robot.messages(tick, stamp_ns, values):
+                name = self._robot.absolute(topic)
+                self._append(name, stamp_ns, self._types.encode(message))
         for change in batch.changes:
             text = self._types.make(topics.RUN_TYPE, data=sparse.as_text(change))
             self._add(topics.CHANGES, self._types.encode(text))

@@ -394,3 +394,28 @@ def test_a_disk_that_fills_up_leaves_no_half(tmp_path, monkeypatch, capsys, out)
 def test_a_folder_that_is_not_there_is_no_unknown_format(tmp_path):
     with pytest.raises(LogError, match="no such file or"):
         read_log(tmp_path / "none")
+
+
+def test_the_flavour_of_a_run_decides_what_its_bag_holds(tmp_path):
+    """A base of diff_drive_controller: its odometry is that of the drive, in its own dimensions."""
+    (tmp_path / "config.yaml").write_text(
+        "plant: {wheel_radius_m: 0.033, wheelbase_m: null, track_m: 0.16, icr_offset_m: 0}\n"
+        "ros2: {flavour: diff_drive}\n"
+    )
+    (tmp_path / "drive.yaml").write_text(
+        "steps: [{at_s: 0.1, write: {control.mode: 1, twist.linear_m_s: 0.1}}]\n"
+    )
+    words = ["-c", "config.yaml", "-o", "drive.mcap", "--duration", "3"]
+    with contextlib.chdir(tmp_path):
+        assert commands.main(["simulate", "drive.yaml", *words]) == 0
+    convert(tmp_path / "drive.mcap", tmp_path / "bag")
+    with AnyReader([tmp_path / "bag"]) as reader:
+        topics = {c.topic for c in reader.connections}
+        assert {"/odom", "/tf", "/joint_states", "/imu"} <= topics
+        assert not [topic for topic in topics if "iotbot" in topic]
+        odom = [c for c in reader.connections if c.topic == "/odom"]
+        *_, (_, _, last) = reader.messages(odom)
+        message = reader.deserialize(last, "nav_msgs/msg/Odometry")
+    driven = read_log(tmp_path / "drive.mcap").columns
+    assert message.pose.pose.position.x == pytest.approx(driven["pose.x_m"][-1], 0.02)
+    assert message.twist.twist.linear.x == pytest.approx(0.1, 0.02)
