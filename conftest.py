@@ -1,6 +1,7 @@
 """Load test kit and injector from this tree, whatever the installed package brings along."""
 
 import gc
+import logging
 import os
 import sys
 from importlib.metadata import entry_points
@@ -67,6 +68,12 @@ def pytest_unconfigure():
 def _process_as_before():
     """Forget the logging that a command set up here; let none leave its priority to the others."""
     priority = os.nice(0)
+    loggers = logging.getLogger(), logging.getLogger("hilserver")
+    before = [(logger, logger.level, logger.handlers[:]) for logger in loggers]
     yield
     structlog.reset_defaults()
+    for logger, level, handlers in before:
+        logger.setLevel(level)
+        for handler in set(logger.handlers).difference(handlers):
+            logger.removeHandler(handler)
     assert os.nice(0) == priority, "the test changed the priority of all tests after it"

@@ -151,6 +151,8 @@ def test_every_signal_that_is_named_exists() -> None:
 
 def options(parser: argparse.ArgumentParser) -> set[str]:
     """Return all options of a command and of those below it."""
+    if hasattr(parser, "load"):  # a bench
+        parser.load()
     found = set(parser._option_string_actions)
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):

@@ -30,13 +30,17 @@ class _BenchParser(argparse.ArgumentParser):
 
     path = ""  # of the module; empty: none
 
-    def parse_known_args(self, *given: Any, **named: Any) -> Any:
+    def load(self) -> None:
+        """Add what its bench has to ask for, once."""
         path, self.path = self.path, ""
         if path:
             module = importlib.import_module(path)
             self.set_defaults(measure=module.run)
             if hasattr(module, "add_arguments"):
                 module.add_arguments(self)
+
+    def parse_known_args(self, *given: Any, **named: Any) -> Any:
+        self.load()
         return super().parse_known_args(*given, **named)
 
 

@@ -63,7 +63,9 @@ def _by_hand(args: argparse.Namespace) -> Setup:
 
     assembly = assembled(args)
     check_page(assembly)
-    image = args.image or known_image(assembly.config.image.name)
+    image = args.image
+    if image is None:
+        image = known_image(assembly.config.image.name)
     return page_setup(assembly, image, assembly.config.opcua.endpoint)
 
 

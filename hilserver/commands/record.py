@@ -104,8 +104,11 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(
             "a bag is one folder; leave out --rotate-mb, or record to .mcap"
         )
+    image = args.image
+    if image is None:
+        image = known_image(load_config(config_path(args)).image.name)
     recorder = Recorder(
-        args.image or known_image(load_config(config_path(args)).image.name),
+        image,
         Settings(
             path=args.out,
             signals=args.signals or ("*",),

@@ -255,10 +255,11 @@ class Life:
     async def _stand_still_over_a_limit(self, chance: Random) -> None:
         """Stand still while somebody's time is up, so that the answer may come in the same turn."""
         loop = self.town.loop
-        limits = [timer.when() for timer in loop.limits()]
+        limits = loop.limits()
         if not limits:
             return
-        await asyncio.sleep(max(chance.choice(limits) - loop.time() - 0.01, 0.0))
+        when_s = chance.choice(chance.choice(list(limits.values())))
+        await asyncio.sleep(max(when_s - loop.time() - 0.01, 0.0))
         self.town.stand_still(chance.uniform(0.02, 0.6))
 
     # --- peace ------------------------------------------------------------------------------------

@@ -47,10 +47,13 @@ class _Future(asyncio.Future):
     __eq__ = object.__eq__
 
 
-def _is_of_the_product(limit: asyncio.TimerHandle) -> bool:
+def _name_of(limit: asyncio.TimerHandle) -> str:
+    """Return the name of the product's task that has this time limit; of all others one."""
     holder = getattr(limit._callback, "__self__", None)
     task = getattr(getattr(holder, "_wait", holder), "_task", None)
-    return task is not None and "/hilserver/" in task.get_coro().cr_code.co_filename
+    if task is None or "/hilserver/" not in task.get_coro().cr_code.co_filename:
+        return ""
+    return str(task.get_name())
 
 
 class StuckError(AssertionError):
@@ -89,14 +92,17 @@ class VirtualLoop(asyncio.BaseEventLoop):
         """Hold up the loop, as a call that does not return; the plant goes on meanwhile."""
         self.clock.advance_to(self.clock.now_ns + round(seconds * NS))
 
-    def limits(self) -> list[asyncio.TimerHandle]:
-        """Return the timers of time limits: of tasks of the product only, if it has any."""
-        names = ("Timeout._on_timeout", "_Prolonging._look", "_release_waiter")
-        timers = [timer for timer in self._scheduled if not timer._cancelled]
-        limits = [
-            t for t in timers if getattr(t._callback, "__qualname__", "") in names
-        ]
-        return list(filter(_is_of_the_product, limits)) or limits
+    def limits(self) -> dict[str, list[float]]:
+        """Return when time limits end, by the name of a task: many strangers hide no link."""
+        kinds = ("Timeout._on_timeout", "_Prolonging._look", "_release_waiter")
+        found: dict[str, list[float]] = {}
+        for timer in self._scheduled:
+            kind = getattr(timer._callback, "__qualname__", "")
+            if not timer._cancelled and kind in kinds:
+                found.setdefault(_name_of(timer), []).append(timer.when())
+        if len(found) > 1:
+            found.pop("", None)  # the product has some
+        return found
 
     # --- one turn ---------------------------------------------------------------------------------
 

@@ -16,9 +16,11 @@ import structlog
 import uvloop
 
 from hilserver.core.events import Event, EventKind
+from hilserver.opcua import transport
 from tests.io.opcua_server.rig import Rig
 
 PROBE_S = 0.001
+PATIENCE_S = 120.0
 
 
 class Probe:
@@ -43,6 +45,8 @@ async def drive(rig: Rig) -> None:
 
 
 async def main(folder: Path) -> None:
+    # How long others keep a client from sending the rest of a request is no subject here.
+    transport.READ_DEADLINE_S = transport.UNREAD_DEADLINE_S = PATIENCE_S
     rig = Rig(folder, max_events_per_s=1000)
     await rig.server.start()
     rig.control.started()

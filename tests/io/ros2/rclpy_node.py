@@ -58,6 +58,8 @@ def obey(node, publishers, clients, command):
             threading.Thread(
                 target=play, args=(node, publishers, path), daemon=True
             ).start()
+        case {"client": service, "type": name}:
+            clients[service] = node.create_client(kind(name), service)
         case {"call": service, "type": name, "fields": fields}:
             if service not in clients:
                 clients[service] = node.create_client(kind(name), service)

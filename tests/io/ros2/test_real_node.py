@@ -188,6 +188,17 @@ async def test_the_daemon_is_a_node_of_the_graph(domain):
             raise AssertionError("it has no name")
 
 
+async def is_known_to_the_service(node, daemon, name, kind):
+    """Make a client, and wait until the daemon knows it.
+
+    What a client asks before that is lost: Cyclone DDS skips what a writer has sent before its
+    first heartbeat. The client then takes each answer for that to the question before.
+    """
+    node.tell(client=name, type=kind)
+    (service,) = (s for s in daemon.part("ros2")._services if s.name == name)
+    await wait_until(lambda: service.endpoints[0].matched, PATIENCE_S)
+
+
 async def test_services_answer(domain):
     node = RosNode(domain, {"/cmd_vel": TWIST})
     get, listed = (
@@ -196,6 +207,8 @@ async def test_services_answer(domain):
     )
     async with robot(domain) as daemon, node:
         await node.is_ready()
+        for name, kind in (("get_parameters", get), ("list_parameters", listed)):
+            await is_known_to_the_service(node, daemon, f"/hilserver/{name}", kind)
         names = ["plant.wheel_radius_m", "plant.track_m"]
         for _ in range(3):
             node.tell(
