@@ -71,12 +71,9 @@ def halfway(problem: Problem, by_all: Point) -> Point:
     """Return a model halfway between its fit to all samples and that to the ends of free runs.
 
     The first errs by what it takes for noise, the second because it uses little of the data; their
-    mean is closer than either. In long segments of which only noise is left, that noise is known,
-    and all samples are best.
+    mean is closer than either. In long segments the noise is known, and all samples are best.
     """
-    if not problem.doubts_noise(by_all):
-        return by_all
-    by_ends = fit_by_ends(problem, by_all, HORIZON_S)
+    by_ends = fit_by_ends(problem, by_all, HORIZON_S) if problem.is_short else by_all
     if by_ends is by_all:
         return by_all
     theta = 0.5 * (by_all.model.theta() + by_ends.model.theta())

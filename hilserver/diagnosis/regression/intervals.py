@@ -55,9 +55,7 @@ def whole_covariance(
     share = np.array([own_share(cause) for cause in causes])
     ticks = np.array([ROUNDED * traits_of(cause).whole_ticks for cause in causes])
     variance = np.diag(cov) + (share * point.model.theta()) ** 2
-    if problem.doubts_noise(
-        point
-    ):  # see `halfway`: its additional variance (Hausman 1978)
+    if problem.is_short:  # see `halfway`: its additional variance (Hausman 1978)
         # one distance shows no correlation
         variance += linear.ridge(columns, point.left) ** 2
     np.fill_diagonal(cov, variance + (ticks * problem.stage.robot.period_s) ** 2)

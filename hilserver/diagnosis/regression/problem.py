@@ -96,10 +96,6 @@ class Problem:
         """Whether slow noise would look like a misfit, so that no noise is learned from a model."""
         return self.stage.segments.longest_s < NOISE_TAU_MAX_S
 
-    def doubts_noise(self, point: Point) -> bool:
-        """Whether what a fit to all samples takes for noise may be a misfit."""
-        return self.is_short or point.is_gross
-
     def under(self, noise: Mapping[str, NoiseModel], weights: Array) -> "Problem":
         """Return the same stage with another noise."""
         return replace(self, noise=noise, weights=weights)

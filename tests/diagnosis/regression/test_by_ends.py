@@ -9,12 +9,10 @@ from hilserver_injector import Recipe, make
 from benchmarks.diagnose_worker import measured
 from hilserver.daemon.assembly import assemble
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
-from hilserver.diagnosis.decide.predicting import halfway
 from hilserver.diagnosis.progress import Tracker
 from hilserver.diagnosis.regression.by_ends import fit_by_ends
 from hilserver.diagnosis.regression.fitting import fit
 from hilserver.diagnosis.regression.gain import HORIZON_S, free_run_errors, windows
-from hilserver.diagnosis.regression.intervals import whole_covariance
 from hilserver.diagnosis.regression.problem import Problem
 from hilserver.diagnosis.regression.stages import prepare, stages_of
 from hilserver.measured.channels import POSITION, YAW
@@ -77,22 +75,6 @@ def test_free_runs_end_nearer_to_what_was_measured(prepared):
     by_ends = fit_by_ends(problem, by_all, HORIZON_S)
     assert total(problem, by_ends, by_all) < total(problem, by_all, by_all)
     assert by_all.deviance < by_ends.deviance
-
-
-def test_where_far_more_than_noise_is_left_parameters_are_halfway(prepared):
-    """What the fit to all samples takes for noise is a misfit; else all samples are best."""
-    problem, known = bent(prepared), fitted(prepared)
-    by_all = fitted(prepared, problem)
-    assert by_all.is_gross
-    assert not problem.is_short
-    by_ends = fit_by_ends(problem, by_all, HORIZON_S)
-    between = 0.5 * (by_all.model.theta() + by_ends.model.theta())
-    found = halfway(problem, by_all)
-    assert found.model.theta() == pytest.approx(between, abs=1e-12)
-    variances = [whole_covariance(problem, p)[0][0, 0] for p in (found, by_all)]
-    assert variances[0] > variances[1]
-    assert not known.is_gross
-    assert halfway(prepared.problem, known) is known
 
 
 def test_a_run_that_goes_wrong_altogether_does_not_steer(prepared):
