@@ -250,6 +250,9 @@ def _try(args: argparse.Namespace, task: Task) -> None:
         if control.error:
             raise FailedError(control.error)
         attempts += attempts_of(task, control, args.causes)
+        for cause in sorted({*args.causes} - {one.cause for one in attempts}):
+            hint = f"{cause} is not tried: this recording does not show it"
+            progress.say(hint, sys.stderr)
         rows: list[PowerRow] = []
         write_files(args.out, files_of(rows, len(attempts)), (CSV, JSON))
         with closing(_spread(attempted, attempts, args)) as outcomes:

@@ -28,7 +28,7 @@ from hilserver.plant.parameters import RobotParameters
 
 TIMES_SMALLEST: Final = (1.0, 2.0, 0.5, 1.4, 0.7)
 """Sizes that are tried, as multiples of `smallest_detectable`, in this order."""
-NAMING: Final = (Verdict.NAMED, Verdict.NAMED_GROUP)
+NAMING: Final = (Verdict.NAMED, Verdict.NAMED_GROUP, Verdict.DATA_FAULT)
 
 Outcome = Literal["named", "group", "seen", "nothing", "failed"]
 """Its name alone; its name beside others; something else was found; nothing; no diagnosis."""

@@ -60,6 +60,7 @@ def test_each_cause_that_is_not_there_yet_is_tried_at_each_size(library):
         ((("named", ("gyro_bias",)),), "nothing", ()),
         ((("named", ("body_lag",)),), "named", ()),
         ((("named_group", ("yaw_latency", "body_lag")),), "group", ()),
+        ((("data_fault", ("body_lag",)),), "named", ()),
         ((("effective", ("body_lag",)),), "seen", ()),
         ((("named", ("yaw_latency",)),), "seen", ("yaw_latency",)),
         (
@@ -111,7 +112,7 @@ def test_files_and_table_say_that_this_is_power_and_no_proof(library):
 
 def test_a_large_effect_is_found_in_a_recording_without_any(tmp_path):
     path = tmp_path / "log.csv"
-    make(recipe("nothing drive", 3, 60.0))[0].write_csv(path)
+    make(recipe("nothing drive", 3, 40.0))[0].write_csv(path)
     task = Task((path,), None)
     label = "pose: rotation_gain"
     attempt = Attempt(task, label, "rotation_gain", "1", 0.02, 5.0, 0.1)
