@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from hilserver.diagnosis.findings.explain import number
+from hilserver.diagnosis.output import TRIED
 from hilserver.diagnosis.power.attempts import (
     TIMES_SMALLEST,
     Attempt,
@@ -17,7 +18,6 @@ from hilserver.diagnosis.power.attempts import (
 )
 
 SCHEMA: Final = "hilserver.power/1"
-CSV, JSON = "power.csv", "power.json"
 POWER_NO_PROOF: Final = (
     "Power, no proof: each effect is the plant's own formula, put into this recording; a machine"
     " may differ in other ways."
@@ -72,17 +72,18 @@ def rows_of(
 
 def files_of(rows: Sequence[PowerRow], planned: int) -> dict[str, str]:
     """Return the texts of the files, by name."""
+    of_csv, of_json = TRIED
     plain = [row.as_dict() for row in rows]
     head = {"schema": SCHEMA, "says": POWER_NO_PROOF, "planned": planned}
     whole = json.dumps(head | {"attempts": plain}, indent=1) + "\n"
     if not plain:
-        return {JSON: whole}
+        return {of_json: whole}
     out = io.StringIO()
     writer = csv.DictWriter(out, list(plain[0]), lineterminator="\n")
     writer.writeheader()
     for row, values in zip(rows, plain, strict=True):
         writer.writerow(values | {"wrong_names": " ".join(row.wrong)})
-    return {CSV: out.getvalue(), JSON: whole}
+    return {of_csv: out.getvalue(), of_json: whole}
 
 
 def lines_of(rows: Sequence[PowerRow], planned: int) -> list[str]:

@@ -1,12 +1,14 @@
 """Which effects are tried, what counts as found, and what is said of it."""
 
 import json
+import pickle
 from pathlib import Path
 
 import pytest
 from hilserver_injector import make
 
 from hilserver.diagnosis.catalogue.library import pose_candidates
+from hilserver.diagnosis.output import TRIED
 from hilserver.diagnosis.pipeline import Task
 from hilserver.diagnosis.power import attempts as tried
 from hilserver.diagnosis.power.attempts import (
@@ -18,7 +20,7 @@ from hilserver.diagnosis.power.attempts import (
     outcome_of,
     until,
 )
-from hilserver.diagnosis.power.table import CSV, JSON, files_of, lines_of, rows_of
+from hilserver.diagnosis.power.table import files_of, lines_of, rows_of
 from hilserver.diagnosis.schema.findings import Detectable
 from tests.diagnosis.hidden.logs import recipe
 
@@ -77,6 +79,12 @@ def test_what_counts_as_found(found, outcome, wrong):
     assert outcome_of(attempt, failed, CONTROL) == ("failed", ())
 
 
+def test_what_is_tried_travels_to_other_processes(library):
+    attempts = attempts_of(TASK, CONTROL)
+    assert pickle.loads(pickle.dumps(attempts)) == attempts
+    assert pickle.loads(pickle.dumps(CONTROL)) == CONTROL
+
+
 def test_the_larger_an_effect_the_more_probable_is_its_name():
     powers = [
         Attempt(TASK, "", times=times).predicted for times in sorted(TIMES_SMALLEST)
@@ -98,10 +106,10 @@ def test_files_and_table_say_that_this_is_power_and_no_proof(library):
     named = AttemptOutcome((("named", ("body_lag",)), ("named", ("side_slip",))))
     rows = rows_of(attempts, {0: named, 1: AttemptOutcome()}, CONTROL)
     files = files_of(rows, len(attempts))
-    whole = json.loads(files[JSON])
+    whole = json.loads(files[TRIED[1]])
     assert whole["says"].startswith("Power, no proof")
     assert [one["outcome"] for one in whole["attempts"]] == ["named", "nothing"]
-    head, first, _ = files[CSV].splitlines()
+    head, first, _ = files[TRIED[0]].splitlines()
     assert head.startswith("cause,unit,smallest_detectable,size")
     assert first.startswith("body_lag,s,0.05,0.05")
     lines = lines_of(rows, len(attempts))
