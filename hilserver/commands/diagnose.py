@@ -26,7 +26,7 @@ from hilserver.commands.options import (
 )
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES
 from hilserver.diagnosis.many import on_cluster
-from hilserver.diagnosis.output import REPORT, write, write_files
+from hilserver.diagnosis.output import REPORT, TRIED, write, write_files
 from hilserver.diagnosis.pipeline import Task, TaskOutcome
 from hilserver.diagnosis.pipeline import run as diagnose
 from hilserver.diagnosis.power.attempts import (
@@ -37,8 +37,6 @@ from hilserver.diagnosis.power.attempts import (
     until,
 )
 from hilserver.diagnosis.power.table import (
-    CSV,
-    JSON,
     PowerRow,
     files_of,
     lines_of,
@@ -243,7 +241,7 @@ def _try(args: argparse.Namespace, task: Task) -> None:
 
     def stopped() -> str:
         done = f"{len(results)} of {len(attempts)} effects"
-        return f"stopped after {done}; {args.out / JSON} holds their outcomes"
+        return f"stopped after {done}; {args.out / TRIED[-1]} holds their outcomes"
 
     with Progress(stopped) as progress:
         progress("trying: the recording as it is", 0.0)
@@ -251,8 +249,11 @@ def _try(args: argparse.Namespace, task: Task) -> None:
         if control.error:
             raise FailedError(control.error)
         attempts += attempts_of(task, control, args.causes)
+        for cause in sorted({*args.causes} - {one.cause for one in attempts}):
+            hint = f"{cause} is not tried: this recording does not show it"
+            progress.say(hint, sys.stderr)
         rows: list[PowerRow] = []
-        write_files(args.out, files_of(rows, len(attempts)), (CSV, JSON))
+        write_files(args.out, files_of(rows, len(attempts)))
         with closing(_spread(attempted, attempts, args)) as outcomes:
             for index, outcome in until(outcomes, 60.0 * args.minutes):
                 results[index] = outcome

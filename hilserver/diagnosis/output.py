@@ -18,6 +18,7 @@ from hilserver.program.whole_file import write_whole
 FINDINGS: Final = "findings.json"
 REPORT: Final = "report.html"
 PATCH: Final = "model_patch.yaml"
+TRIED: Final = ("power.csv", "power.json")
 
 
 def findings_text(findings: Findings) -> str:
@@ -58,7 +59,7 @@ def write(folder: Path, files: Mapping[str, str]) -> None:
     FailedError
         If the folder cannot be written.
     """
-    write_files(folder, files, (FINDINGS, PATCH, REPORT, *older_files(folder)))
+    write_files(folder, files, (FINDINGS, PATCH, REPORT, *TRIED, *older_files(folder)))
 
 
 def write_files(

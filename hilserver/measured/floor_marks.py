@@ -34,8 +34,8 @@ class FloorMark(Section):
     )
     yaw_rad: float | None = Field(
         None,
-        ge=-6.3,  # one turn: larger ones are degrees
-        le=6.3,
+        ge=-7.0,  # a square is one turn, and a little more; larger ones are degrees
+        le=7.0,
         description="heading; of a relative mark: minus the heading at that time",
     )
     sd_m: float = Field(

@@ -8,7 +8,10 @@ import pytest
 
 from hilserver.commands import main
 from hilserver.diagnosis import pipeline
+from hilserver.diagnosis.catalogue.library import pose_candidates
+from hilserver.diagnosis.power.attempts import AttemptOutcome
 from hilserver.diagnosis.schema.evidence import Diagnosis
+from hilserver.diagnosis.schema.findings import Detectable
 from hilserver.errors import LogError
 from hilserver.measured.data import LogSource, MeasuredLog
 from hilserver.program.progress import Progress
@@ -274,3 +277,30 @@ def test_other_programs_and_robots_are_refused_before_any_judging(
     assert main(["diagnose", *words, "-o", "out"]) == code
     assert says in capsys.readouterr().err.splitlines()[-1]
     assert not [stage for stage in stages if stage[0] == "judge"]
+
+
+def test_what_would_have_been_found_is_printed_and_written(
+    stages, tmp_path, monkeypatch, capsys
+):
+    sizes = (Detectable(cause="body_lag", size=0.05, unit="s"),)
+    tried = "hilserver.diagnosis.power.attempts.possible"
+    library = {f"pose: {one.label}": one for one in pose_candidates(None)}
+    monkeypatch.setattr(tried, lambda _task: library)
+
+    def judged(attempt):
+        is_large = attempt.times >= 1.0
+        found = (("named", ("body_lag",)),) if is_large else ()
+        return AttemptOutcome(found, sizes)
+
+    monkeypatch.setattr("hilserver.commands.diagnose.attempted", judged)
+    words = ["null.csv", "--try", "--causes", "body_lag,side_slip", "--jobs", "1"]
+    assert main(["diagnose", *words, "-o", "out"]) == 0
+    said = capsys.readouterr()
+    assert "side_slip is not tried" in said.err
+    assert "5 of 5 tried: named in 3" in said.out
+    assert "Power, no proof" in said.out
+    assert len((tmp_path / "out" / "power.csv").read_text().splitlines()) == 6
+
+    # a run without --try leaves none of it behind
+    assert main(["diagnose", "null.csv", "-o", "out"]) == 0
+    assert not (tmp_path / "out" / "power.csv").exists()

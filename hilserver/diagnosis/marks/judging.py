@@ -53,12 +53,11 @@ A_SIDE: Final = (
     " forward_m)."
 )
 TOO_FEW: Final = "no marks of enough runs"
+UNEXPLAINED: Final = "no dimension explains where the runs end"
 TOO_WEAK: Final = "hardly excited: the marks of these runs cannot show it"
 FOLDS: Final = 5  # halves of six runs would be too few to select from
 FAR_FROM_MARKS_SD: Final = 4.0  # misses in standard deviations of the marks
-SMALL_ERRORS_SHARE: Final = (
-    0.1  # of how far a run goes: a search for small errors ends there
-)
+FAR_SHARE: Final = 0.1  # of how far a run goes
 STEP_S: Final = 0.01  # of the replay: where a run ends depends on nothing faster
 MISFIT: Final = 4.0  # variance; the marks then miss by twice their standard deviations
 
@@ -146,7 +145,7 @@ def searched(
     model = trial.model
     far = far_off(search)
     if far and not model.fitted:
-        reasons |= dict.fromkeys((c.cause for c in candidates), far)
+        reasons |= dict.fromkeys((c.cause for c in candidates), UNEXPLAINED)
         ends = MarkedEnds(runs.ends({}), None)
         return ByMarks(reasons=reasons, notices=(far, *lost_runs(runs)), ends=ends)
 
@@ -173,10 +172,9 @@ def searched(
 
 
 def far_off(search: MarksSearch) -> str:
-    """Return what to say where runs end too far from their marks for a linear search; or nothing.
+    """Return what to say where runs miss their marks by a good part of their length; or nothing.
 
-    The search looks for small changes of the configured robot. Where none explains misses of a
-    good part of a run, "nothing found" would be wrong.
+    Where no cause explains that, "nothing found" would be wrong.
     """
     runs, chosen = search.runs, search.chosen
     residual = runs.residual({})
@@ -188,14 +186,13 @@ def far_off(search: MarksSearch) -> str:
         extents_m.append(float(np.hypot(x_m - x_m[0], y_m - y_m[0]).max()))
     missed_m = float(np.sqrt(np.mean(_miss_m(runs, residual)[chosen] ** 2)))
     by_sd = float(np.mean(residual[rows_of(runs, chosen)] ** 2))
-    if by_sd < FAR_FROM_MARKS_SD**2 or missed_m < SMALL_ERRORS_SHARE * float(
+    if by_sd < FAR_FROM_MARKS_SD**2 or missed_m < FAR_SHARE * float(
         np.median(extents_m)
     ):
         return ""
     return (
-        f"the runs end {missed_m:.2g} m from their marks, further than a search for small errors"
-        " of the configured robot reaches: check plant: (or --robot) and the marks, correct what"
-        " is clearly wrong, and diagnose again"
+        f"no dimension explains why the runs end {missed_m:.2g} m from their marks: check plant:"
+        " (or --robot) and the marks, correct what is clearly wrong, and diagnose again"
     )
 
 

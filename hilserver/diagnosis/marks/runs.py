@@ -144,7 +144,7 @@ class MarkedRuns:
     def poses_in(self, course: Array) -> Array:
         """Return the poses of a course at the times of all points, shape (points, 3)."""
         before, after = course[self._row], course[self._row + 1]
-        return before + self._beyond[:, None] * (after - before)
+        return np.asarray(before + self._beyond[:, None] * (after - before))
 
     def residual(self, terms: Mapping[str, float]) -> Array:
         """Return by how much a model misses the marks, in standard deviations, shape (rows,)."""
