@@ -80,9 +80,8 @@ class Diagnostics:
         return self._table
 
     def _show(self, path: str, value: Figure) -> None:
-        if self._last.get(path, _NEVER) == value and type(self._last[path]) is type(
-            value
-        ):
+        is_equal = self._last.get(path, _NEVER) == value
+        if is_equal and type(self._last[path]) is type(value):
             return
         if path not in self._places and not self._add(path, value):
             return
