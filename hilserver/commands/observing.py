@@ -45,9 +45,8 @@ class Observed:
         part = np.einsum("nii->ni", m)[:, : BIAS + 1]
         out[:, DEVIATIONS] = np.sqrt(np.maximum(part, 0.0))
         first = DEVIATIONS.stop
-        out[:, first : first + 3] = np.stack(
-            [m[:, X, Y], m[:, X, YAW], m[:, Y, YAW]], axis=1
-        )
+        rows = [m[:, X, Y], m[:, X, YAW], m[:, Y, YAW]]
+        out[:, first : first + 3] = np.stack(rows, axis=1)
         return out
 
     @property
@@ -69,7 +68,9 @@ class Observed:
             return np.zeros(0)
         places = self.places[self.places[:, 0] >= t[known][0]]
         at = [np.interp(places[:, 0], t, xy[:, k]) for k in (0, 1)]
-        away: Array = np.hypot(at[0] - places[:, 1], at[1] - places[:, 2])
+        off_x_m = at[0] - places[:, 1]
+        off_y_m = at[1] - places[:, 2]
+        away: Array = np.hypot(off_x_m, off_y_m)
         return away
 
 
@@ -82,9 +83,8 @@ def dead_reckoning(p: Parameters, c: Array, one: Observed) -> Array:
     cos = math.cos(turn)
     sin = math.sin(turn)
     away = x[:, :2] - x[first, :2]
-    path: Array = one.course.estimate[first, :2] + away @ np.array(
-        [[cos, sin], [-sin, cos]]
-    )
+    turned = np.array([[cos, sin], [-sin, cos]])
+    path: Array = one.course.estimate[first, :2] + away @ turned
     return path
 
 
@@ -185,17 +185,21 @@ def _rms(values: Array) -> float:
 def path_picture(p: Parameters, c: Array, spans: Sequence[Observed]) -> str:
     """Return the path as an SVG file: navigation, wheels alone, estimate."""
     known = [one for one in spans if one.known.any()] or list(spans)
+    measured = [one.places[:, 1:] for one in known]
+    simulated = [dead_reckoning(p, c, one)[one.known] for one in known]
+    extended = [one.estimate[one.known, :2] for one in known]
     paths = [
-        ("measured", [one.places[:, 1:] for one in known]),
-        ("simulated", [dead_reckoning(p, c, one)[one.known] for one in known]),
-        ("extended", [one.estimate[one.known, :2] for one in known]),
+        ("measured", measured),
+        ("simulated", simulated),
+        ("extended", extended),
     ]
-    everything = np.concatenate(
-        [xy for _, pieces in paths for xy in pieces] + [np.zeros((1, 2))]
-    )
+    drawn = [xy for _, pieces in paths for xy in pieces]
+    everything = np.concatenate([*drawn, np.zeros((1, 2))])
+    x_span = span_of(everything[:, 0])
+    y_span = span_of(everything[:, 1])
     plot = Plot(
-        span_of(everything[:, 0]),
-        span_of(everything[:, 1]),
+        x_span,
+        y_span,
         "x in m",
         "y in m",
         width=720.0,
@@ -204,7 +208,8 @@ def path_picture(p: Parameters, c: Array, spans: Sequence[Observed]) -> str:
     )
     titles = dict(LEGEND)
     for role, pieces in paths:
-        begins = np.cumsum([0, *(len(xy) for xy in pieces)])[:-1].tolist()
+        totals = np.cumsum([0, *(len(xy) for xy in pieces)])
+        begins = totals[:-1].tolist()
         xy = np.concatenate(pieces) if pieces else np.zeros((0, 2))
         if len(xy):
             plot.track(xy, role, titles[role], begins=begins)

@@ -79,6 +79,7 @@ def run(args: argparse.Namespace) -> int:
     """Plan; print what the manoeuvre shows and write the files."""
     if args.out.exists() and not args.out.is_dir():
         raise FailedError(f"{args.out}: is a file; name a folder for the plan")
+    jobs = os.cpu_count() or 1
     wish = Wish(
         manoeuvre=args.manoeuvre,
         mapping=args.mapping,
@@ -87,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
         duration_s=args.duration,
         room_m=args.room,
         seed=args.seed,
-        jobs=os.cpu_count() or 1,
+        jobs=jobs,
     )
     with Progress(
         lambda: "stopped before the plan was finished: nothing was written"

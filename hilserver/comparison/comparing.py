@@ -149,13 +149,16 @@ def compare(
     signals = (head_a.run or {}).get("signals", ())
     only_in_a = sorted(head_a.columns.keys() - head_b.columns.keys())
     only_in_b = sorted(head_b.columns.keys() - head_a.columns.keys())
+    by_time = sorted(partings.values(), key=lambda p: (p.segment, p.t_ns))
+    inputs = frozenset(s["name"] for s in signals if s["direction"] == "in")
+    changes = changes_between(head_a.run, head_b.run)
     return RecordingComparison(
         signals=len(names),
         rows=rows,
         equal_before=rows if begun is None else equal_before,
-        partings=sorted(partings.values(), key=lambda p: (p.segment, p.t_ns)),
-        inputs=frozenset(s["name"] for s in signals if s["direction"] == "in"),
+        partings=by_time,
+        inputs=inputs,
         alone=(first.alone, second.alone),
         only_in=(only_in_a, only_in_b),
-        changes=changes_between(head_a.run, head_b.run),
+        changes=changes,
     )

@@ -57,7 +57,9 @@ def differing(name: str, piece: Shared, allowed: float) -> Differing | None:
     at = np.flatnonzero(size > allowed)
     if not len(at):
         return None
-    return Differing(name, at, size[at], float(a[at[0]]), float(b[at[0]]))
+    of_a = float(a[at[0]])
+    of_b = float(b[at[0]])
+    return Differing(name, at, size[at], of_a, of_b)
 
 
 @cache

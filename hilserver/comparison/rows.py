@@ -85,9 +85,11 @@ def shared_rows(a: Rows, b: Rows) -> Iterator[Shared]:
         last_ns = min(a.t_ns[of_a.stop - 1], b.t_ns[of_b.stop - 1])
         end_a = of_a.start + int(np.searchsorted(a.t_ns[of_a], last_ns, side="right"))
         end_b = of_b.start + int(np.searchsorted(b.t_ns[of_b], last_ns, side="right"))
+        times_a = a.t_ns[of_a.start : end_a]
+        times_b = b.t_ns[of_b.start : end_b]
         t_ns, in_a, in_b = np.intersect1d(
-            a.t_ns[of_a.start : end_a],
-            b.t_ns[of_b.start : end_b],
+            times_a,
+            times_b,
             assume_unique=True,
             return_indices=True,
         )

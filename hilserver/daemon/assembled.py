@@ -111,6 +111,9 @@ class Assembly:
     @property
     def provenance(self) -> dict[str, Any]:
         """What every recording states about the run that made it."""
+        not_replayable = (
+            {"not_replayable": self.not_replayable} if self.not_replayable else {}
+        )
         return {
             "version": __version__,
             "kernels": kernel_hash(),
@@ -121,7 +124,7 @@ class Assembly:
             "seed": self.config.plant.seed,
             "base_period_ns": self.base_period_ns,
             "parameters": list(self.composition.settings),
-        } | ({"not_replayable": self.not_replayable} if self.not_replayable else {})
+        } | not_replayable
 
     @property
     def not_replayable(self) -> list[str]:

@@ -33,11 +33,10 @@ class DriveGeometry:
         """Return the geometry of a robot, with the terms that it has."""
         p = pack(robot)
         traction = float(p.traction)
-        return cls(
-            float(p.radius_left) * traction,
-            float(p.radius_right) * traction,
-            traction / abs(float(p.yaw_gain)),
-        )
+        left_m = float(p.radius_left) * traction
+        right_m = float(p.radius_right) * traction
+        separation_m = traction / abs(float(p.yaw_gain))
+        return cls(left_m, right_m, separation_m)
 
     @property
     def radius_m(self) -> float:

@@ -354,26 +354,30 @@ def _numbers(answer: RobotAnswer) -> list[tuple[str, float, str]]:
     values = answer.values
     controller = robot.controller
     process = robot.process
+    k_p = controller.k_p * (1.0 + values.get("controller_gains.p", 0.0))
+    k_i = controller.k_i * (1.0 + values.get("controller_gains.i", 0.0))
+    gain = process.gain * (1.0 + values.get("process_gain", 0.0))
+    t1_s = process.t1_s * (1.0 + values.get("time_constant", 0.0))
     return [
         ("wheel_radius_left", true.left_m, "m"),
         ("wheel_radius_right", true.right_m, "m"),
         ("wheel_separation", true.separation_m, "m"),
         (
             "k_p",
-            controller.k_p * (1.0 + values.get("controller_gains.p", 0.0)),
+            k_p,
             "%/rpm",
         ),
         (
             "k_i",
-            controller.k_i * (1.0 + values.get("controller_gains.i", 0.0)),
+            k_i,
             "%/(rpm s)",
         ),
         (
             "process_gain",
-            process.gain * (1.0 + values.get("process_gain", 0.0)),
+            gain,
             "rpm/%",
         ),
-        ("t1", process.t1_s * (1.0 + values.get("time_constant", 0.0)), "s"),
+        ("t1", t1_s, "s"),
         ("t2", process.t2_s, "s"),
     ]
 

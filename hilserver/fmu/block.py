@@ -93,15 +93,16 @@ def load_fmu_block(
         except BlockError as error:
             raise BlockError(f"FMU {reference!r} {error}.") from None
     given = {variable.name: value for variable, value in wiring.start}
+    function = exchange.run_beside if process else calls.run_here
+    shown = (*signals(wiring, outputs), *([LATE] if process else []))
+    parameters = {v.name: float(given.get(v.name, v.start)) for v in wiring.parameters}
     declaration = BlockDeclaration(
         name=fmu.identifier,
-        function=exchange.run_beside if process else calls.run_here,
+        function=function,
         inputs=wiring.input_names,
-        outputs=(*signals(wiring, outputs), *([LATE] if process else [])),
+        outputs=shown,
         state={},
-        parameters={
-            v.name: float(given.get(v.name, v.start)) for v in wiring.parameters
-        },
+        parameters=parameters,
         source=fmu.path,
         source_function=calls.run_here,
     )

@@ -85,10 +85,12 @@ def _of_wheel(log: MeasuredLog, wheel: str, resting_rpm: float) -> DeadZone | No
         return None
     lower = (float(below.max()), low)
     upper = (high, float(above.min()))
+    lower_edge = Estimate(sum(lower) / 2.0, lower, "%")
+    upper_edge = Estimate(sum(upper) / 2.0, upper, "%")
     return DeadZone(
         wheel,
-        Estimate(sum(lower) / 2.0, lower, "%"),
-        Estimate(sum(upper) / 2.0, upper, "%"),
+        lower_edge,
+        upper_edge,
         int(held.sum()),
     )
 

@@ -42,7 +42,8 @@ class Regression:
         value = float(self.values[index])
         if self.covariance is None:
             return Estimate(value, None, unit)
-        half = self.quantile * math.sqrt(max(float(self.covariance[index, index]), 0.0))
+        variance = max(float(self.covariance[index, index]), 0.0)
+        half = self.quantile * math.sqrt(variance)
         return Estimate(value, (value - half, value + half), unit)
 
     @property

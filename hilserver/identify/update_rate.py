@@ -90,9 +90,10 @@ def identify_update_rate(log: MeasuredLog) -> UpdateRate:
     error = max(float(apart.std(ddof=1)) / math.sqrt(count), rounded)
     half = float(stats.t.ppf(0.975, len(apart) - 1)) * error
     period = float(apart.mean())
+    estimate = Estimate(period, (max(period - half, 0.0), period + half), "s")
     return UpdateRate(
         files(log),
-        Estimate(period, (max(period - half, 0.0), period + half), "s"),
+        estimate,
         row_s,
         len(apart) + 1,
         tuple(rises),
@@ -148,7 +149,9 @@ def _of_wheel(log: MeasuredLog, wheel: str) -> tuple[WheelRise, Array, float]:
         )
     settled = values[len(values) // 2 :]
     final = float(np.median(settled))
-    spread = 1.96 * float(np.std(settled)) / math.sqrt(max(len(settled) / 10.0, 1.0))
+    spread_of_all = 1.96 * float(np.std(settled))
+    independent = max(len(settled) / 10.0, 1.0)
+    spread = spread_of_all / math.sqrt(independent)
     way = math.copysign(1.0, final)
     moments = [
         _first(t_s, way * values, RISE * abs(final) + extra)
@@ -160,9 +163,10 @@ def _of_wheel(log: MeasuredLog, wheel: str) -> tuple[WheelRise, Array, float]:
     at_s, command = duty.of(span)
     changed = np.flatnonzero(np.diff(command) != 0.0) + 1
     changed_s = at_s[changed]
+    while_rising = changed_s[(changed_s >= start_s) & (changed_s <= moments[0])]
     return (
         WheelRise(wheel, rise),
-        changed_s[(changed_s >= start_s) & (changed_s <= moments[0])],
+        while_rising,
         row_s,
     )
 

@@ -60,7 +60,6 @@ def side_sum_rpm(log: MeasuredLog, span: int, t_s: Array) -> Array:
     total = np.zeros(len(t_s))
     for side in SIDES:
         wheels = present(log, "speed_rpm", side)
-        total += np.mean(
-            [at(log[f"wheel.{w}.speed_rpm"], span, t_s) for w in wheels], axis=0
-        )
+        speeds_rpm = [at(log[f"wheel.{w}.speed_rpm"], span, t_s) for w in wheels]
+        total += np.mean(speeds_rpm, axis=0)
     return total

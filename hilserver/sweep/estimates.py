@@ -108,7 +108,9 @@ def _fisher(r: float, n: int) -> tuple[float, float]:
             return (r, r)
         return (-1.0, 1.0)
     width = 1.96 * math.sqrt((1.0 + r * r / 2.0) / (n - 3))
-    return math.tanh(math.atanh(r) - width), math.tanh(math.atanh(r) + width)
+    high = math.atanh(r) + width
+    low = math.atanh(r) - width
+    return math.tanh(low), math.tanh(high)
 
 
 def median_interval(values: Array) -> tuple[float, float, float]:

@@ -227,8 +227,11 @@ def distance_to_way(x_m: Array, y_m: Array, way: Array) -> Array:
         length2 = dx * dx + dy * dy
         along = np.zeros(len(x_m))
         if length2 > 0.0:
-            along = np.clip(((x_m - ax) * dx + (y_m - ay) * dy) / length2, 0.0, 1.0)
-        square = (x_m - ax - along * dx) ** 2 + (y_m - ay - along * dy) ** 2
+            projected = (x_m - ax) * dx + (y_m - ay) * dy
+            along = np.clip(projected / length2, 0.0, 1.0)
+        aside_x = x_m - ax - along * dx
+        aside_y = y_m - ay - along * dy
+        square = aside_x**2 + aside_y**2
         nearest = np.minimum(nearest, square)
     distance: Array = np.sqrt(nearest)
     return distance

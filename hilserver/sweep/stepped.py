@@ -83,9 +83,11 @@ class Stepped:
         given = self.job.sweep.controller
         assert given is not None
         own = {ENDPOINT: daemon.part("opcua").url, SEED: str(machine.seed)}
+        words = [filled(word, own) for word in given.command]
+        limits = self.job.sweep.limits
         return guest(
-            [filled(word, own) for word in given.command],
-            memory_mb=self.job.sweep.limits.memory_mb,
+            words,
+            memory_mb=limits.memory_mb,
             cwd=self.job.path.parent,
             stdout=asyncio.subprocess.DEVNULL,
         )

@@ -114,10 +114,11 @@ def compare(a: MachineTable, b: MachineTable) -> str:
     only_a = int((passed_a & ~passed_b).sum())
     only_b = int((~passed_a & passed_b).sum())
     both = int((passed_a & passed_b).sum())
+    neither = len(mine) - both - only_a - only_b
     lines = [
         f"{len(mine)} machines, the same in both",
         f"pass in both {both}, only in A {only_a}, only in B {only_b},"
-        f" in neither {len(mine) - both - only_a - only_b}",
+        f" in neither {neither}",
         f"probability of such a difference by chance: {paired_p(only_a, only_b):.3g} (McNemar,"
         " exact)",
     ]

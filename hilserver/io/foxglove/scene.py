@@ -40,18 +40,15 @@ def scene(hall: NDArray[Any], shape: Shape) -> Any:
         for x in (1, -1)
         for y in (1, -1)
     ]
-    return fg.SceneUpdate(
-        entities=[
-            fg.SceneEntity(id="hall", frame_id="map", cubes=walls),
-            fg.SceneEntity(
-                id="robot",
-                frame_id="base_link",
-                frame_locked=True,
-                cubes=[chassis],
-                cylinders=wheels,
-            ),
-        ]
+    hall_entity = fg.SceneEntity(id="hall", frame_id="map", cubes=walls)
+    robot_entity = fg.SceneEntity(
+        id="robot",
+        frame_id="base_link",
+        frame_locked=True,
+        cubes=[chassis],
+        cylinders=wheels,
     )
+    return fg.SceneUpdate(entities=[hall_entity, robot_entity])
 
 
 def _wall(x1: float, y1: float, x2: float, y2: float) -> Any:

@@ -172,8 +172,9 @@ class LinkSecurity:
         identity = self._identity
         assert identity is not None
         for endpoint in endpoints:
+            has_policy = endpoint.SecurityPolicyUri == identity.policy.URI
             if (
-                endpoint.SecurityPolicyUri == identity.policy.URI
+                has_policy
                 and endpoint.SecurityMode == identity.mode
                 and (endpoint.EndpointUrl or "").startswith("opc.tcp:")
             ):
