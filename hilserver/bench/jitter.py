@@ -53,11 +53,10 @@ class BackEndBlocks:
         reference_us = [
             report.percentile_us(block, percent) for block in self.reference
         ]
+        interval = report.ratio_interval(self.subject, self.reference, percent)
         raw = {
             "backend": self.backend,
-            "ratio_interval_95": report.ratio_interval(
-                self.subject, self.reference, percent
-            ),
+            "ratio_interval_95": interval,
             "blocks_us": ours_us,
             "reference_blocks_us": reference_us,
         }

@@ -92,7 +92,8 @@ def run(args: argparse.Namespace) -> list[Result]:
         c = ReferencePlant(library, RobotParameters(), battery_v=19.2, extended=False)
 
         def in_c(n: int) -> None:
-            c.run(u.numbers, y.numbers, q.numbers.view(np.int64), n)
+            words = q.numbers.view(np.int64)
+            c.run(u.numbers, y.numbers, words, n)
 
         programs: dict[str, Callable[[int], None]] = {
             "c": in_c,

@@ -120,7 +120,8 @@ def _write(out: Path, spans: list[Observed], picture: str) -> None:
              if s.name.startswith("estimate.")]  # fmt: skip
     shown: NDArray[np.float64] = np.concatenate([one.signals for one in spans])
     t_s = np.concatenate([one.series.wheels[:, 0] for one in spans])
-    segment = np.concatenate([np.full(len(s.series.wheels), s.number) for s in spans])
+    numbers = [np.full(len(s.series.wheels), s.number) for s in spans]
+    segment = np.concatenate(numbers)
     columns = dict(zip(names, shown.T, strict=True))
     log = Log(
         path=out,

@@ -66,7 +66,8 @@ class Observed:
         known = self.known
         if not known.any():
             return np.zeros(0)
-        places = self.places[self.places[:, 0] >= t[known][0]]
+        is_later = self.places[:, 0] >= t[known][0]
+        places = self.places[is_later]
         at = [np.interp(places[:, 0], t, xy[:, k]) for k in (0, 1)]
         off_x_m = at[0] - places[:, 1]
         off_y_m = at[1] - places[:, 2]
@@ -158,16 +159,16 @@ def sentences(p: Parameters, given: Array, c: Array, spans: Sequence[Observed]) 
         f"The squared innovations are {nis:.2f} times their covariance, {fits} expected"
         f" ({1.0 - half:.2f} to {1.0 + half:.2f})."
     )
-    deviations = np.concatenate(
-        [one.signals[one.known][:, DEVIATIONS] for one in known]
-    )
+    pieces = [one.signals[one.known][:, DEVIATIONS] for one in known]
+    deviations = np.concatenate(pieces)
     place = np.hypot(deviations[:, 0], deviations[:, 1])
     lines.append(
         f"The median standard deviation is {np.median(place):.3f} m for the position and"
         f" {np.median(deviations[:, YAW]):.4f} rad for the heading."
     )
     if any(len(one.places) for one in known):
-        near = np.concatenate([one.off(one.estimate[:, :2]) for one in known])
+        distances = [one.off(one.estimate[:, :2]) for one in known]
+        near = np.concatenate(distances)
         far = np.concatenate([one.off(dead_reckoning(p, c, one)) for one in known])
         lines.append(
             f"The path is {_rms(near):.3f} m (RMS) from the navigation positions; the path from the"

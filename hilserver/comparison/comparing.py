@@ -139,7 +139,8 @@ def compare(
         for one in found:
             t_ns = int(piece.t_ns[one.at[0]])
             fresh = Parting(one.signal, piece.segment, t_ns, one.a, one.b)
-            partings.setdefault(one.signal, fresh).grow(one, piece, begun or (0, 0))
+            parting = partings.setdefault(one.signal, fresh)
+            parting.grow(one, piece, begun or (0, 0))
         rows += len(piece.t_ns)
     if not rows:
         raise LogError(

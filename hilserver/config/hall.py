@@ -154,7 +154,8 @@ def _threshold(entry: dict[str, Any]) -> Solid:
     length = math.hypot(x2 - x1, y2 - y1)
     half = (0.5 * length, 0.5 * width, 0.5 * height)
     centre = (0.5 * (x1 + x2), 0.5 * (y1 + y2), 0.5 * height)
-    return Solid(centre, half, math.atan2(y2 - y1, x2 - x1), carries=True)
+    yaw = math.atan2(y2 - y1, x2 - x1)
+    return Solid(centre, half, yaw, carries=True)
 
 
 def _box(entry: dict[str, Any]) -> Solid:
@@ -163,4 +164,5 @@ def _box(entry: dict[str, Any]) -> Solid:
         raise ValueError
     (yaw,) = _point({"yaw": [entry.get("yaw_rad", 0.0)]}, "yaw", 1)
     half = (0.5 * length, 0.5 * width, 0.5 * height)
-    return Solid((float(x), float(y), 0.5 * height), half, float(yaw))
+    centre = (float(x), float(y), 0.5 * height)
+    return Solid(centre, half, float(yaw))

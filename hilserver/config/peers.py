@@ -213,9 +213,8 @@ class PeerConfig(LinkSection):
                     f"{key} of peer '{self.name}' is for opc.tcp://: leave it out"
                 )
         try:
-            s7_peer.check_blocks(
-                named[: len(self.read)], self.write.values(), self.heartbeat
-            )
+            read = named[: len(self.read)]
+            s7_peer.check_blocks(read, self.write.values(), self.heartbeat)
         except ValueError as error:
             raise ValueError(f"peer '{self.name}': {error}") from None
         return self

@@ -82,18 +82,18 @@ class Assembly:
     def identity(self) -> dict[str, str]:
         """What two runs must have in common for one to continue the other."""
         c = self.composition
-        digest = hashlib.sha256(
-            pack(self.configured).numbers.tobytes() + c.hall.tobytes()
-        )
+        numbers = pack(self.configured).numbers.tobytes() + c.hall.tobytes()
+        digest = hashlib.sha256(numbers)
         if c.body is not None:
             digest.update(c.body.identity)
         if c.observer is not None:
             digest.update(c.observer.source.encode() + c.observer.constants.tobytes())
         for block in c.blocks:
             wiring: tuple[object, ...] = (block.name, block.slice, dict(block.inputs))
+            drives = [dict(block.drives)] if block.drives else ()
             wiring += (
                 dict(block.parameters),
-                *([dict(block.drives)] if block.drives else ()),
+                *drives,
             )
             own = block.model
             if own is None:

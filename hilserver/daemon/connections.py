@@ -93,8 +93,9 @@ def make_desk(core: Core, stage: ScenarioPlayer) -> Desk:
     config = core.assembly.config
     folders = config.folders
     scenarios = Scenarios(assembly.folder / folders.scenarios, stage, core)
+    folder = assembly.folder / folders.recordings
     recordings = Recordings(
-        assembly.folder / folders.recordings,
+        folder,
         config.recording,
         core.image.name,
         core.tasks,

@@ -177,13 +177,14 @@ class Patches:
             }
             for n, v in values.items()
         }
+        made_from = {
+            "config_sha256": self.config_sha256,
+            "version": __version__,
+        }
         text = yaml.safe_dump(
             {
                 "schema": SCHEMA_2,
-                "made_from": {
-                    "config_sha256": self.config_sha256,
-                    "version": __version__,
-                },
+                "made_from": made_from,
                 "parameters": saved,
             },
             sort_keys=False,

@@ -235,7 +235,8 @@ def _covariances(answer: RobotAnswer) -> list[str]:
         return ["The log does not show the noise of the wheels: no covariance"]
     true = DriveGeometry.of(answer.true)
     wheels = 2 if answer.robot.wheelbase_m is None else 4
-    variance = sum(sd * sd for sd in sds) / len(sds) / wheels
+    mean_variance = sum(sd * sd for sd in sds) / len(sds)
+    variance = mean_variance / wheels
     along = (true.radius_m * RAD_S_PER_RPM) ** 2 * variance
     turn = 4.0 * along / true.separation_m**2
     unseen = "1000000.0, 1000000.0, 1000000.0"  # z, roll, pitch

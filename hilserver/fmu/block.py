@@ -174,7 +174,8 @@ class Beside(_Running):
         late = int(a[at.A_LATE]) - hurried
         if status == at.OK != self._status:
             self._is_lost = False  # a state was restored: its process continues from it
-        ended = self._child.look(a, gives_up=status == at.SILENT and not self._is_lost)
+        gives_up = status == at.SILENT and not self._is_lost
+        ended = self._child.look(a, gives_up=gives_up)
         self._is_lost |= ended is not None
         self._status = status
         if ended is None:

@@ -353,7 +353,8 @@ class _Function:
             for i, (kind, _, value) in enumerate(taken)
         ]  # fmt: skip
         after = [f"{self._value(phi)} = n{i};" for i, (_, phi, _) in enumerate(taken)]
-        return " ".join(["{", *before, *after, f"goto {self._label(name)}; }}"])
+        words = ["{", *before, *after, f"goto {self._label(name)}; }}"]
+        return " ".join(words)
 
     def _phis_of(
         self, lines: list[str]

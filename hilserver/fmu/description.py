@@ -116,9 +116,8 @@ class Fmu:
         """
         found = self.variables.get(name)
         if found is None:
-            hint = meant(
-                name, self.variables, f"known are {', '.join([*self.variables][:12])}"
-            )
+            some = ", ".join([*self.variables][:12])
+            hint = meant(name, self.variables, f"known are {some}")
             raise BlockError(f"{self.path.name} has no variable '{name}'; {hint}")
         return found
 

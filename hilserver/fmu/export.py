@@ -152,7 +152,8 @@ def _linked(folder: Path, platform: str) -> Path:
     options = ["-std=gnu11", *_OPTIONS, "-fPIC", "-shared", "-w"]
     source = str(folder / "sources" / _MAIN)
     target = ["-o", str(library), *link.split(), "-lm"]
-    _run([COMPILERS[platform][0], *options, source, *target], os.environ)
+    command = [COMPILERS[platform][0], *options, source, *target]
+    _run(command, os.environ)
     return library
 
 

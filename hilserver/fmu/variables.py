@@ -134,7 +134,8 @@ def description(
     head = _HEADS[version].format(
         token=token, version=__version__, step=f"{step_s:.17g}"
     )
-    named = "".join(f"<Unit name={quoteattr(u)}/>" for u in sorted(units - {"1"}))
+    symbols = sorted(units - {"1"})
+    named = "".join(f"<Unit name={quoteattr(u)}/>" for u in symbols)
     first = len(inputs(table)) + 2
     return (
         f"{head}<UnitDefinitions>{named}</UnitDefinitions>\n"

@@ -60,7 +60,8 @@ def _front_is_rear(log: MeasuredLog, side: str) -> Check:
     if moving.sum() < _SAMPLES_MIN:
         return Check(name, None, "the wheels hardly turn")
     block = blocks_of(log[front].t_s, log[front].span)
-    ratio = regress(x[moving, None], y[moving], block[moving]).estimate(0)
+    fit = regress(x[moving, None], y[moving], block[moving])
+    ratio = fit.estimate(0)
     difference = y[moving] - x[moving]
     apart = float(np.sqrt(np.mean(np.square(difference))))
     passed = ratio.holds(1.0) or abs(ratio.value - 1.0) <= LEAST_DEVIATION

@@ -97,7 +97,8 @@ def _of_wheel(log: MeasuredLog, wheel: str, resting_rpm: float) -> DeadZone | No
 
 def _keys(channel: Channel) -> NDArray[np.void]:
     """Return stamp and span of every sample as one comparable value."""
-    keys = np.zeros(len(channel), dtype=[("span", np.int64), ("t_s", np.float64)])
+    columns = [("span", np.int64), ("t_s", np.float64)]
+    keys = np.zeros(len(channel), dtype=columns)
     keys["span"] = channel.span
     keys["t_s"] = channel.t_s
     return keys

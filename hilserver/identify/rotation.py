@@ -132,7 +132,8 @@ class _Samples:
         speed = speed[np.isfinite(speed)]
         if len(grid) < 2:
             return np.full(len(t_s), np.nan)
-        steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(grid)
+        both = speed[1:] + speed[:-1]
+        steps = 0.5 * both * np.diff(grid)
         angle = np.concatenate(([0.0], np.cumsum(steps)))
         ends = [
             np.interp(at_s, grid, angle, np.nan, np.nan)
@@ -295,7 +296,8 @@ def _lag(data: _Samples) -> tuple[Estimate | None, Estimate | None]:
     robust_s = data.lag_s()
     if robust_s is None:
         grid = np.arange(-LARGEST_S, LARGEST_S + 1e-9, _LAG_STEP_S)
-        robust_s = float(grid[int(np.argmin([misfit(lag_s) for lag_s in grid]))])
+        misfits = [misfit(lag_s) for lag_s in grid]
+        robust_s = float(grid[int(np.argmin(misfits))])
     best = robust_s
     near = (best - _LAG_STEP_S, best + _LAG_STEP_S)
     best = float(minimize_scalar(misfit, bounds=near, method="bounded").x)
@@ -303,7 +305,8 @@ def _lag(data: _Samples) -> tuple[Estimate | None, Estimate | None]:
     slope = (later - sooner) / (2.0 * _SLOPE_S)
     good = np.isfinite(u) & np.isfinite(slope)
     power = np.mean(u[good] ** 2)
-    if np.mean(slope[good] ** 2) < (0.02 * math.sqrt(power)) ** 2:
+    least = 0.02 * math.sqrt(power)
+    if np.mean(slope[good] ** 2) < least**2:
         return None, None
     gain = float(u[good] @ data.y[good] / (u[good] @ u[good]))
     table = np.stack([u[good], gain * slope[good]], axis=1)

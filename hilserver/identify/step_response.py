@@ -87,7 +87,8 @@ def averaged(steps: list[InputStep]) -> tuple[Array, Array]:
 
     Each response starts from its own mean before the step; the grid ends at their median length.
     """
-    grid_s = float(np.median([np.median(np.diff(step.t_s)) for step in steps]))
+    steps_s = [np.median(np.diff(step.t_s)) for step in steps]
+    grid_s = float(np.median(steps_s))
     length_s = float(np.median([step.t_s[-1] for step in steps]))
     t_s = np.arange(0.0, length_s, grid_s)
     total = np.zeros(len(t_s))
@@ -143,7 +144,8 @@ def identify_steps(log: MeasuredLog, source: str | None = None) -> StepResponse:
     steps = [step for own in by_wheel.values() for step in own]
     flags = _flags(log, quantity, by_wheel)
     t_s, mean = averaged(steps)
-    final = float(np.median(mean[-max(3, len(mean) // 4) :]))
+    tail = mean[-max(3, len(mean) // 4) :]
+    final = float(np.median(tail))
     least = _ANSWER_MIN * float(np.max(np.abs(mean)))
     if not abs(final) > least or not mean.any():
         raise LogError(f"{files(log)}: the wheels do not follow {quantity}")
@@ -279,7 +281,8 @@ class _Fits:
         return _Fit(estimates, Estimate(gain, interval, self._unit), rms)
 
     def _answer(self, response: Response, log_t: Array) -> Array:
-        return self._size * np.where(self._t_s >= 0.0, response(self._t_s, log_t), 0.0)
+        answer = np.where(self._t_s >= 0.0, response(self._t_s, log_t), 0.0)
+        return self._size * answer
 
     def _centred(self, values: Array) -> Array:
         """Subtract the mean of each step, because its starting speed is free."""

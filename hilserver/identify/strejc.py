@@ -73,7 +73,8 @@ def find_tangent(t_s: Array, response: Array) -> Tangent:
         near = np.abs(t_s - centre) <= width
         if near.sum() < 5:
             continue
-        *_, slope, level = np.polyfit((t_s[near] - centre) / width, response[near], 3)
+        scaled = (t_s[near] - centre) / width
+        *_, slope, level = np.polyfit(scaled, response[near], 3)
         slope /= width
         if slope > best[0]:
             best = (float(slope), float(centre), float(level))

@@ -113,7 +113,8 @@ def compare(rates: Sequence[UpdateRate], level: float = 0.05) -> list[RateCompar
         of_fast = variances[0] ** 2 / (fast.changes - 2)
         of_slow = variances[1] ** 2 / (slow.changes - 2)
         freedom = sum(variances) ** 2 / (of_fast + of_slow)
-        score = (slow.period_s.value - fast.period_s.value) / math.sqrt(sum(variances))
+        apart_s = slow.period_s.value - fast.period_s.value
+        score = apart_s / math.sqrt(sum(variances))
         p_value = 2.0 * float(stats.t.sf(score, freedom))
         clear = p_value * (len(ordered) - 1) < level
         found.append(RateComparison(fast.file, slow.file, p_value, clear))
@@ -137,8 +138,10 @@ def _of_wheel(log: MeasuredLog, wheel: str) -> tuple[WheelRise, Array, float]:
     span = int(setpoint.span[aims[0]])
     start_s = float(setpoint.t_s[aims[0]])
     t_s, values = speed.of(span)
-    others = (setpoint.span == span) & (setpoint.values != setpoint.values[aims[0]])
-    end_s = float(setpoint.t_s[others & (setpoint.t_s > start_s)].min(initial=np.inf))
+    is_other_value = setpoint.values != setpoint.values[aims[0]]
+    others = (setpoint.span == span) & is_other_value
+    later = others & (setpoint.t_s > start_s)
+    end_s = float(setpoint.t_s[later].min(initial=np.inf))
     step = (t_s >= start_s) & (t_s < end_s)
     t_s = t_s[step]
     values = values[step]

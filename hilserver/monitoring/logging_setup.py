@@ -165,10 +165,11 @@ def _rendering(is_console: bool, *, colors: bool) -> list[Any]:
         json = structlog.processors.JSONRenderer()
         return [stamp, structlog.processors.format_exc_info, json]
     plain = structlog.dev.plain_traceback
+    console = structlog.dev.ConsoleRenderer(colors=colors, exception_formatter=plain)
     return [
         _drop_what_is_for_programs,
         structlog.processors.TimeStamper(fmt="%H:%M:%S", utc=False),
-        structlog.dev.ConsoleRenderer(colors=colors, exception_formatter=plain),
+        console,
     ]
 
 

@@ -129,7 +129,8 @@ class Engine:
                 posted.append(change)
             if changes:
                 n = min(n, changes[0].tick - stretch.first_tick - done)
-            end = int(np.searchsorted(rows[:, 0], stretch.first_tick + done + n))
+            last_tick = stretch.first_tick + done + n
+            end = int(np.searchsorted(rows[:, 0], last_tick))
             if end > QUEUE_ROWS:
                 n = 1
                 end = int(np.searchsorted(rows[:, 0], stretch.first_tick + done + 1))

@@ -26,9 +26,8 @@ def write_junit(path: Path, table: MachineTable) -> None:
         if met < shares[requirement] * n or n == 0:
             failures += 1
             failure = ET.SubElement(case, "failure", message=text)
-            order = np.argsort(
-                np.where(np.isnan(margins), -np.inf, margins), kind="stable"
-            )
+            known = np.where(np.isnan(margins), -np.inf, margins)
+            order = np.argsort(known, kind="stable")
             lines = []
             for row in order[:10].tolist():
                 if table.status[row] != REFUSED:

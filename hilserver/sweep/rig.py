@@ -64,9 +64,8 @@ class Rig:
         self._image = self._core.image
         self._image.control.state = State.RUNNING
         self._judge, self._kept = judge_of(job, self._table)
-        self._slots = np.array(
-            [self._table.slot(name) for name in self._kept], dtype=np.int64
-        )
+        slots = [self._table.slot(name) for name in self._kept]
+        self._slots = np.array(slots, dtype=np.int64)
         self._values = np.zeros((len(self._kept), job.n_ticks))
         self._periods = np.array(
             [s.period_ticks for s in assembly.slices if s.compiled], dtype=np.int64
@@ -158,7 +157,8 @@ class Rig:
         self._advance(0, 1)
         for first in range(0, n, self._every):
             driver.act(first)
-            self._advance(first + 1, min(self._every, n - first - 1))
+            n_ticks = min(self._every, n - first - 1)
+            self._advance(first + 1, n_ticks)
 
     def _advance(self, first: int, n_ticks: int) -> None:
         image = self._image

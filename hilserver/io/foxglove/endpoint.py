@@ -108,9 +108,11 @@ class FoxgloveEndpoint(Part):
                 loop.call_soon_threadsafe(take_soon)
 
         table = self._world.table
-        inbox = Inbox(
-            self._understood, lambda name: name in table and table[name].writable, wake
-        )
+
+        def may_write(name: str) -> bool:
+            return name in table and table[name].writable
+
+        inbox = Inbox(self._understood, may_write, wake)
         host = hidden_host()
         try:
             self._server = await asyncio.to_thread(

@@ -149,9 +149,8 @@ class AddressSpaceBuilder:
         kinds = ua.ObjectIds
         if row.eu_range is not None:
             low, high = row.eu_range
-            self.property(
-                row.path, "EURange", ua.Range(float(low), float(high)), kinds.Range
-            )
+            limits = ua.Range(float(low), float(high))
+            self.property(row.path, "EURange", limits, kinds.Range)
         if row.unit is not None:
             unit = eu_information(row.unit)
             self.property(row.path, "EngineeringUnits", unit, kinds.EUInformation)

@@ -98,11 +98,12 @@ def _judged(table: MachineTable, name: str, n: int) -> JudgedRequirement:
     median = float(np.median(driven)) if len(driven) else np.nan
     least = float(driven.min()) if len(driven) else np.nan
     influence = influences({**table.parameters, **faults}, finite)[:MOST_INFLUENCES]
+    share = met / max(n, 1)
     return JudgedRequirement(
         name,
         unit,
         met,
-        met / max(n, 1),
+        share,
         low,
         high,
         median,
