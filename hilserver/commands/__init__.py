@@ -8,6 +8,7 @@ import argparse
 import importlib
 import sys
 from collections.abc import Sequence
+from types import ModuleType
 
 from hilserver import __version__
 from hilserver.errors import meant
@@ -91,7 +92,7 @@ def _parse(words: Sequence[str]) -> argparse.Namespace:
         if name != asked:
             commands.add_parser(name, help=text)
             continue
-        module = importlib.import_module(f"{__name__}.{name.replace('-', '_')}")
+        module = _module(name)
         sub = commands.add_parser(
             name,
             help=text,
@@ -114,3 +115,7 @@ def _parse(words: Sequence[str]) -> argparse.Namespace:
             sub.error(f"{asked} does not take '{word}'")
         sub.error(f"unrecognized arguments: {' '.join(left)}")
     return args
+
+
+def _module(command: str) -> ModuleType:
+    return importlib.import_module(f"{__name__}.{command.replace('-', '_')}")
