@@ -48,35 +48,38 @@ class BackEndBlocks:
         """Return the figure for one percentile."""
         value = report.median_of_blocks_us(self.subject, percent)
         reference = report.median_of_blocks_us(self.reference, percent)
+        ratio = value / reference if reference > 0 else None
+        ours_us = [report.percentile_us(block, percent) for block in self.subject]
+        reference_us = [
+            report.percentile_us(block, percent) for block in self.reference
+        ]
+        interval = report.ratio_interval(self.subject, self.reference, percent)
+        raw = {
+            "backend": self.backend,
+            "ratio_interval_95": interval,
+            "blocks_us": ours_us,
+            "reference_blocks_us": reference_us,
+        }
         return report.Result(
             name=f"{prefix}wake_latency_p{percent:g}_us",
             value=value,
             unit="us",
             reference=reference,
             reference_name="cyclictest",
-            ratio=value / reference if reference > 0 else None,
-            raw={
-                "backend": self.backend,
-                "ratio_interval_95": report.ratio_interval(
-                    self.subject, self.reference, percent
-                ),
-                "blocks_us": [
-                    report.percentile_us(block, percent) for block in self.subject
-                ],
-                "reference_blocks_us": [
-                    report.percentile_us(block, percent) for block in self.reference
-                ],
-            },
+            ratio=ratio,
+            raw=raw,
         )
 
     @property
     def raw(self) -> dict[str, Any]:
         """All measured data: latency [us] -> count, per block."""
+        histograms = [report.sparse(block) for block in self.subject]
+        of_cyclictest = [report.sparse(block) for block in self.reference]
         return {
             "cyclictest_command": self.command,
             "load": self.load,
-            "histograms": [report.sparse(block) for block in self.subject],
-            "cyclictest_histograms": [report.sparse(block) for block in self.reference],
+            "histograms": histograms,
+            "cyclictest_histograms": of_cyclictest,
         }
 
 

@@ -146,16 +146,17 @@ def loaded_daemon(
 def _settings(
     backend: str, period_us: int, priority: int, image: str, url: str
 ) -> dict[str, Any]:
+    slices = {
+        "plant": period_us / 1000,
+        "sensors": 10 * period_us / 1000,
+        "publish": 20 * period_us / 1000,
+        "supervise": 100 * period_us / 1000,
+    }
     return {
         "scheduler": {
             "backend": backend,
             "base_period_ms": period_us / 1000,
-            "slices": {
-                "plant": period_us / 1000,
-                "sensors": 10 * period_us / 1000,
-                "publish": 20 * period_us / 1000,
-                "supervise": 100 * period_us / 1000,
-            },
+            "slices": slices,
             "policy": "skip",  # like cyclictest: one late wake-up is one sample
             "realtime": {"priority": priority},
             "limits": {

@@ -80,9 +80,8 @@ class LoopClient:
         values: dict[str, object] = {
             f"rpm_set_{name}": rpm for name, rpm in wheels.items()
         }
-        await self.server.offer(
-            values | {"enable": True, SEQUENCE: self._sequence}, datetime.now(UTC)
-        )
+        control = {"enable": True, SEQUENCE: self._sequence}
+        await self.server.offer(values | control, datetime.now(UTC))
 
     async def cycle(self) -> None:
         """Serve a set every 20 ms, as a controller does, until cancelled."""

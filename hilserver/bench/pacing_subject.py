@@ -33,6 +33,7 @@ SLICES = (
 
 async def pace(backend: str, path: Path, period_us: int, priority: int) -> None:
     """Pace until standard input ends."""
+    statistics = map_statistics(path, words_needed(len(SLICES), HISTOGRAM_BINS))
     scheduler = Scheduler(
         base_period_ns=period_us * 1000,
         slices=SLICES,
@@ -42,9 +43,7 @@ async def pace(backend: str, path: Path, period_us: int, priority: int) -> None:
         backend=backend,
         policy=OverrunPolicy("skip"),  # like cyclictest: one late wake-up is one sample
         realtime=RealtimeSettings(priority=priority),
-        statistics_array=map_statistics(
-            path, words_needed(len(SLICES), HISTOGRAM_BINS)
-        ),
+        statistics_array=statistics,
         linear_bins=HISTOGRAM_BINS,
     )
     await scheduler.start()

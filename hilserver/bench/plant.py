@@ -90,8 +90,13 @@ def run(args: argparse.Namespace) -> list[Result]:
     with tempfile.TemporaryDirectory() as folder:
         library = build(Path(folder))
         c = ReferencePlant(library, RobotParameters(), battery_v=19.2, extended=False)
+
+        def in_c(n: int) -> None:
+            words = q.numbers.view(np.int64)
+            c.run(u.numbers, y.numbers, words, n)
+
         programs: dict[str, Callable[[int], None]] = {
-            "c": lambda n: c.run(u.numbers, y.numbers, q.numbers.view(np.int64), n),
+            "c": in_c,
             "direct": base.direct,
             "pointer": base.pointer,
             "all_terms": extended.direct,

@@ -36,7 +36,17 @@ def run(args: argparse.Namespace) -> int:
     for base in (configured_folder(), spare_folder()):
         folders = list(_folders(base))
         if args.action == "clear":
-            _clear(base, folders)
+            for path in folders:
+                size = sum(_sizes(path))
+                try:
+                    shutil.rmtree(path)
+                except OSError as error:
+                    raise FailedError(
+                        f"{base}: {path.name} cannot be removed: {reason(error)}"
+                    ) from None
+                print(f"removed {path}, {_megabytes(size)}")
+            if not folders and base == configured_folder():
+                print(f"{base}: nothing is kept")
         elif folders or base == configured_folder():
             _show(base, folders)
     if args.action == "show":
@@ -79,20 +89,6 @@ def _show(base: Path, folders: list[Path]) -> None:
         )
     if not found:
         print("  nothing is kept")
-
-
-def _clear(base: Path, folders: list[Path]) -> None:
-    for path in folders:
-        size = sum(_sizes(path))
-        try:
-            shutil.rmtree(path)
-        except OSError as error:
-            raise FailedError(
-                f"{base}: {path.name} cannot be removed: {reason(error)}"
-            ) from None
-        print(f"removed {path}, {_megabytes(size)}")
-    if not folders and base == configured_folder():
-        print(f"{base}: nothing is kept")
 
 
 def _sizes(folder: Path) -> Iterator[int]:

@@ -103,7 +103,8 @@ def _links(assembly: Assembly) -> Iterator[str]:
 
 def _block(block: BlockConfig) -> str:
     place = ", in a process of its own, one slice behind" if block.process else ""
-    return f"own block {block.name}: {block.function or block.fmu} in slice {block.slice}{place}"
+    origin = block.function or block.fmu
+    return f"own block {block.name}: {origin} in slice {block.slice}{place}"
 
 
 def warnings(assembly: Assembly) -> list[str]:

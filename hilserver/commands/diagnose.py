@@ -359,8 +359,7 @@ def _each(args: argparse.Namespace) -> int:
     )
     tasks = [_absolute(replace(one, logs=(log,))) for log in args.logs]
     folders = _folders(args.logs)
-    code = EXIT_DONE
-    done = 0
+    code, done = EXIT_DONE, 0
 
     def stopped() -> str:
         return f"stopped after {done} of {len(tasks)} logs; their reports are kept"
@@ -394,10 +393,8 @@ def _folders(logs: list[Path]) -> list[str]:
     """Return a folder name for every log: its stem, numbered where two are equal."""
     names: list[str] = []
     for log in logs:
-        name = log.stem
-        number = 2
+        name, number = log.stem, 2
         while name in names:
-            name = f"{log.stem}-{number}"
-            number = number + 1
+            name, number = f"{log.stem}-{number}", number + 1
         names.append(name)
     return names

@@ -127,14 +127,16 @@ def _report(
     third = third_of(args.measured, has_body=robot.config.mechatronic.turns_wheels)
     sources = [f"{source.file}, SHA-256 {source.sha256[:16]}" for source in log.sources]
     driven_by = experiment.drive.name if args.measured is None else "the recording"
+    configuration = (
+        "Configuration",
+        f"{args.config or ROBOT}, SHA-256 {robot.config.sha256[:16]}",
+    )
+    gain = ("K_om of the kinematic model", f"{plant.k_om:.4g} 1/m")
     origin = [
         ("Wheel speeds and pose", "; ".join(sources)),
         ("Driven by", driven_by),
-        (
-            "Configuration",
-            f"{args.config or ROBOT}, SHA-256 {robot.config.sha256[:16]}",
-        ),
-        ("K_om of the kinematic model", f"{plant.k_om:.4g} 1/m"),
+        configuration,
+        gain,
     ]
     page = render(experiment, both, third, identified, origin)
     write_files(out, tables.files(both) | {REPORT: page})

@@ -42,7 +42,8 @@ class DriveJudge:
 
     def passed(self) -> bool:
         """Print every margin; return whether all requirements are met."""
-        values = np.concatenate([*self._values, np.empty((0, len(self._slots)))])
+        no_rows = np.empty((0, len(self._slots)))
+        values = np.concatenate([*self._values, no_rows])
         if not len(values):
             raise FailedError("--between: the drive has no tick there")
         drive = Drive(

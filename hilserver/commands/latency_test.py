@@ -114,7 +114,8 @@ def histogram_lines(counts: NDArray[np.int64]) -> list[str]:
     tallest = np.log1p(max(int(counts.max(initial=0)), 1) * 10.0)
     for high in _EDGES_US:
         count = int(counts[low:high].sum())
-        bar = "#" * min(_BAR, round(_BAR * float(np.log1p(count) / tallest)))
+        share = float(np.log1p(count) / tallest)
+        bar = "#" * min(_BAR, round(_BAR * share))
         over = high == len(counts)
         span = f"{low:>6} and more" if over else f"{low:>6} to {high:<6}"
         lines.append(f"{span:17} us {count:>10} {bar}".rstrip())

@@ -119,14 +119,16 @@ def _write(out: Path, spans: list[Observed], picture: str) -> None:
     names = [s.name for s in robot_table(Ranges(1.0, 1.0, 1.0), observer=True)
              if s.name.startswith("estimate.")]  # fmt: skip
     shown: NDArray[np.float64] = np.concatenate([one.signals for one in spans])
+    t_s = np.concatenate([one.series.wheels[:, 0] for one in spans])
+    numbers = [np.full(len(s.series.wheels), s.number) for s in spans]
+    segment = np.concatenate(numbers)
+    columns = dict(zip(names, shown.T, strict=True))
     log = Log(
         path=out,
-        t_s=np.concatenate([one.series.wheels[:, 0] for one in spans]),
-        segment=np.concatenate(
-            [np.full(len(s.series.wheels), s.number) for s in spans]
-        ),
+        t_s=t_s,
+        segment=segment,
         block=None,
-        columns=dict(zip(names, shown.T, strict=True)),
+        columns=columns,
     )
     drawing = out.with_suffix(".svg")
     with writing(out, out.suffix) as table, writing(drawing) as drawn:

@@ -45,9 +45,8 @@ class Observed:
         part = np.einsum("nii->ni", m)[:, : BIAS + 1]
         out[:, DEVIATIONS] = np.sqrt(np.maximum(part, 0.0))
         first = DEVIATIONS.stop
-        out[:, first : first + 3] = np.stack(
-            [m[:, X, Y], m[:, X, YAW], m[:, Y, YAW]], axis=1
-        )
+        rows = [m[:, X, Y], m[:, X, YAW], m[:, Y, YAW]]
+        out[:, first : first + 3] = np.stack(rows, axis=1)
         return out
 
     @property
@@ -67,9 +66,12 @@ class Observed:
         known = self.known
         if not known.any():
             return np.zeros(0)
-        places = self.places[self.places[:, 0] >= t[known][0]]
+        is_later = self.places[:, 0] >= t[known][0]
+        places = self.places[is_later]
         at = [np.interp(places[:, 0], t, xy[:, k]) for k in (0, 1)]
-        away: Array = np.hypot(at[0] - places[:, 1], at[1] - places[:, 2])
+        off_x_m = at[0] - places[:, 1]
+        off_y_m = at[1] - places[:, 2]
+        away: Array = np.hypot(off_x_m, off_y_m)
         return away
 
 
@@ -82,9 +84,8 @@ def dead_reckoning(p: Parameters, c: Array, one: Observed) -> Array:
     cos = math.cos(turn)
     sin = math.sin(turn)
     away = x[:, :2] - x[first, :2]
-    path: Array = one.course.estimate[first, :2] + away @ np.array(
-        [[cos, sin], [-sin, cos]]
-    )
+    turned = np.array([[cos, sin], [-sin, cos]])
+    path: Array = one.course.estimate[first, :2] + away @ turned
     return path
 
 
@@ -158,16 +159,16 @@ def sentences(p: Parameters, given: Array, c: Array, spans: Sequence[Observed]) 
         f"The squared innovations are {nis:.2f} times their covariance, {fits} expected"
         f" ({1.0 - half:.2f} to {1.0 + half:.2f})."
     )
-    deviations = np.concatenate(
-        [one.signals[one.known][:, DEVIATIONS] for one in known]
-    )
+    pieces = [one.signals[one.known][:, DEVIATIONS] for one in known]
+    deviations = np.concatenate(pieces)
     place = np.hypot(deviations[:, 0], deviations[:, 1])
     lines.append(
         f"The median standard deviation is {np.median(place):.3f} m for the position and"
         f" {np.median(deviations[:, YAW]):.4f} rad for the heading."
     )
     if any(len(one.places) for one in known):
-        near = np.concatenate([one.off(one.estimate[:, :2]) for one in known])
+        distances = [one.off(one.estimate[:, :2]) for one in known]
+        near = np.concatenate(distances)
         far = np.concatenate([one.off(dead_reckoning(p, c, one)) for one in known])
         lines.append(
             f"The path is {_rms(near):.3f} m (RMS) from the navigation positions; the path from the"
@@ -185,17 +186,21 @@ def _rms(values: Array) -> float:
 def path_picture(p: Parameters, c: Array, spans: Sequence[Observed]) -> str:
     """Return the path as an SVG file: navigation, wheels alone, estimate."""
     known = [one for one in spans if one.known.any()] or list(spans)
+    measured = [one.places[:, 1:] for one in known]
+    simulated = [dead_reckoning(p, c, one)[one.known] for one in known]
+    extended = [one.estimate[one.known, :2] for one in known]
     paths = [
-        ("measured", [one.places[:, 1:] for one in known]),
-        ("simulated", [dead_reckoning(p, c, one)[one.known] for one in known]),
-        ("extended", [one.estimate[one.known, :2] for one in known]),
+        ("measured", measured),
+        ("simulated", simulated),
+        ("extended", extended),
     ]
-    everything = np.concatenate(
-        [xy for _, pieces in paths for xy in pieces] + [np.zeros((1, 2))]
-    )
+    drawn = [xy for _, pieces in paths for xy in pieces]
+    everything = np.concatenate([*drawn, np.zeros((1, 2))])
+    x_span = span_of(everything[:, 0])
+    y_span = span_of(everything[:, 1])
     plot = Plot(
-        span_of(everything[:, 0]),
-        span_of(everything[:, 1]),
+        x_span,
+        y_span,
         "x in m",
         "y in m",
         width=720.0,
@@ -204,7 +209,8 @@ def path_picture(p: Parameters, c: Array, spans: Sequence[Observed]) -> str:
     )
     titles = dict(LEGEND)
     for role, pieces in paths:
-        begins = np.cumsum([0, *(len(xy) for xy in pieces)])[:-1].tolist()
+        totals = np.cumsum([0, *(len(xy) for xy in pieces)])
+        begins = totals[:-1].tolist()
         xy = np.concatenate(pieces) if pieces else np.zeros((0, 2))
         if len(xy):
             plot.track(xy, role, titles[role], begins=begins)

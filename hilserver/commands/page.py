@@ -38,7 +38,17 @@ def run(args: argparse.Namespace) -> int:
         setup = Setup.from_json(sys.stdin.readline())
         listener = socket.socket(fileno=args.beside)
     else:
-        setup = _by_hand(args)
+        # A page that the daemon starts needs none of this.
+        from hilserver.commands.page_setup import page_setup  # noqa: PLC0415
+        from hilserver.commands.patching import assembled  # noqa: PLC0415
+        from hilserver.commands.validation import check_page  # noqa: PLC0415
+
+        assembly = assembled(args)
+        check_page(assembly)
+        image = args.image
+        if image is None:
+            image = known_image(assembly.config.image.name)
+        setup = page_setup(assembly, image, assembly.config.opcua.endpoint)
         page = setup.page
         listener = listen(page.host, page.port)
         url = url_of(listener, page.host, is_encrypted=bool(page.certificate))
@@ -53,20 +63,6 @@ def run(args: argparse.Namespace) -> int:
     return event_loop.run(
         _serve(server, listener, until_stdin_ends=args.beside is not None)
     )
-
-
-def _by_hand(args: argparse.Namespace) -> Setup:
-    # A page that the daemon starts needs none of this.
-    from hilserver.commands.page_setup import page_setup  # noqa: PLC0415
-    from hilserver.commands.patching import assembled  # noqa: PLC0415
-    from hilserver.commands.validation import check_page  # noqa: PLC0415
-
-    assembly = assembled(args)
-    check_page(assembly)
-    image = args.image
-    if image is None:
-        image = known_image(assembly.config.image.name)
-    return page_setup(assembly, image, assembly.config.opcua.endpoint)
 
 
 async def _serve(

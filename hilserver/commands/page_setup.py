@@ -5,6 +5,7 @@ from math import isnan
 from pathlib import Path
 from typing import Any
 
+from hilserver.config.mechatronic import MechatronicConfig
 from hilserver.config.page import PageConfig
 from hilserver.config.server import OpcUaConfig
 from hilserver.core.parameters import Start
@@ -14,6 +15,27 @@ from hilserver.io.page.setup import OpcUaAccess, Serving, Setup
 from hilserver.measured.builtin import builtin_mappings
 from hilserver.opcua.access import Access
 from hilserver.opcua.settings import SECURE_POLICIES, default_application_uri
+from hilserver.plant.parameters import RobotParameters
+
+
+def _geometry(robot: RobotParameters, body: MechatronicConfig) -> dict[str, Any]:
+    """Return what the page draws the robot with."""
+    tof = robot.tof
+    is_bodily = body.enabled and body.sensors == "body"
+    return {
+        "wheel_radius_m": robot.wheel_radius_m,
+        "wheelbase_m": robot.wheelbase_m,
+        "track_m": robot.track_m,
+        "max_rpm": robot.max_rpm,
+        "max_linear_m_s": robot.max_linear_m_s,
+        "max_angular_rad_s": robot.max_angular_rad_s,
+        "tof_x_m": tof.mount_x_m,
+        "tof_y_m": tof.mount_y_m,
+        "tof_field_rad": tof.field_of_view_rad,
+        "mass_height_m": body.centre_of_mass_m[2],
+        "has_body": body.enabled,
+        "body_senses": is_bodily,
+    }
 
 
 def page_setup(
@@ -22,60 +44,47 @@ def page_setup(
     """Return what a page of this robot has to know."""
     config = assembly.config
     folder = assembly.folder
-    robot = assembly.robot
-    tof = robot.tof
-    opcua = config.opcua
     paths = config.folders.model_dump() | {"snapshots": config.snapshots.folder}
     walls = assembly.composition.hall.reshape(-1, 4).tolist()
+    rows = [
+        {
+            "name": s.name,
+            "unit": "" if s.unit == "1" else s.unit,
+            "type": s.type.value,
+            "writable": s.writable,
+            "labels": s.labels,
+            "low": s.low,
+            "high": s.high,
+            "description": s.description,
+            "slot": s.slots[0],
+        }
+        for s in assembly.table
+        if not s.is_array
+    ]
+    forms = [
+        {
+            "name": name,
+            "text": f.text,
+            "needs": f.needs,
+            "takes": f.takes,
+            "on": f.on,
+        }
+        for name, f in FORMS.items()
+    ]
+    folders = {name: str((folder / path).absolute()) for name, path in paths.items()}
+    config_file = "" if assembly.path is None else str(assembly.path.absolute())
     return Setup(
         image=image,
         page=_serving(config.page, folder),
-        opcua=_access(opcua, folder, endpoint, secret),
-        signals=[
-            {
-                "name": s.name,
-                "unit": "" if s.unit == "1" else s.unit,
-                "type": s.type.value,
-                "writable": s.writable,
-                "labels": s.labels,
-                "low": s.low,
-                "high": s.high,
-                "description": s.description,
-                "slot": s.slots[0],
-            }
-            for s in assembly.table
-            if not s.is_array
-        ],
-        robot={
-            "wheel_radius_m": robot.wheel_radius_m,
-            "wheelbase_m": robot.wheelbase_m,
-            "track_m": robot.track_m,
-            "max_rpm": robot.max_rpm,
-            "max_linear_m_s": robot.max_linear_m_s,
-            "max_angular_rad_s": robot.max_angular_rad_s,
-            "tof_x_m": tof.mount_x_m,
-            "tof_y_m": tof.mount_y_m,
-            "tof_field_rad": tof.field_of_view_rad,
-            "mass_height_m": config.mechatronic.centre_of_mass_m[2],
-            "has_body": config.mechatronic.enabled,
-            "body_senses": config.mechatronic.enabled
-            and config.mechatronic.sensors == "body",
-        },
+        opcua=_access(config.opcua, folder, endpoint, secret),
+        signals=rows,
+        robot=_geometry(assembly.robot, config.mechatronic),
         walls=walls,
-        faults=[
-            {
-                "name": name,
-                "text": f.text,
-                "needs": f.needs,
-                "takes": f.takes,
-                "on": f.on,
-            }
-            for name, f in FORMS.items()
-        ],
+        faults=forms,
         parameters=_parameters(assembly),
         mappings=list(builtin_mappings()),
-        folders={name: str((folder / path).absolute()) for name, path in paths.items()},
-        config_file="" if assembly.path is None else str(assembly.path.absolute()),
+        folders=folders,
+        config_file=config_file,
     )
 
 
@@ -118,21 +127,25 @@ def _access(
     """Return how the page logs in: encrypted wherever a password travels."""
     judge = Access(opcua)
     anonymous = judge.anonymous()
+    url = endpoint if opcua.enabled else ""
+    may_stop = anonymous is not None and judge.may_call(anonymous, "Stop")
     access = OpcUaAccess(
-        endpoint=endpoint if opcua.enabled else "",
+        endpoint=url,
         secret=secret,
         needs_login=opcua.anonymous_role is None,
-        anonymous_may_stop=anonymous is not None and judge.may_call(anonymous, "Stop"),
+        anonymous_may_stop=may_stop,
         max_failed_logins=opcua.max_failed_logins,
     )
     secure = [policy for policy in opcua.offered_policies if policy in SECURE_POLICIES]
     if not secure or not (opcua.is_secure or access.needs_login):
         return access
     own = folder / opcua.certificates / "own"
+    key = str(folder / (opcua.private_key or own / "key.pem"))
+    uri = opcua.application_uri or default_application_uri()
     return replace(
         access,
         policy=secure[0],
         certificate=str(own / "certificate.der"),
-        key=str(folder / (opcua.private_key or own / "key.pem")),
-        application_uri=opcua.application_uri or default_application_uri(),
+        key=key,
+        application_uri=uri,
     )

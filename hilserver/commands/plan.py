@@ -86,6 +86,7 @@ def run(args: argparse.Namespace) -> int:
     """Plan; print what the manoeuvre shows and write the files."""
     if args.out.exists() and not args.out.is_dir():
         raise FailedError(f"{args.out}: is a file; name a folder for the plan")
+    jobs = os.cpu_count() or 1
     wish = Wish(
         manoeuvre=args.manoeuvre,
         mapping=args.mapping,
@@ -95,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
         room_m=args.room,
         seed=args.seed,
         satellites_m=args.satellites,
-        jobs=os.cpu_count() or 1,
+        jobs=jobs,
     )
     with Progress(
         lambda: "stopped before the plan was finished: nothing was written"

@@ -107,22 +107,21 @@ def run(args: argparse.Namespace) -> int:
     image = args.image
     if image is None:
         image = known_image(load_config(config_path(args)).image.name)
+    settings = Settings(
+        path=args.out,
+        signals=args.signals or ("*",),
+        rotate_bytes=None if args.rotate_mb is None else round(args.rotate_mb * 1e6),
+        keep=args.keep,
+        rotate_s=args.rotate_s,
+        sparse=args.sparse,
+        max_bytes=args.max_mb * 1e6,
+        keep_free_bytes=args.keep_free_mb * 1e6,
+        buffer_bytes=round(args.buffer_mb * 1e6),
+        bag=args.storage if args.format == "bag" else None,
+    )
     recorder = Recorder(
         image,
-        Settings(
-            path=args.out,
-            signals=args.signals or ("*",),
-            rotate_bytes=None
-            if args.rotate_mb is None
-            else round(args.rotate_mb * 1e6),
-            keep=args.keep,
-            rotate_s=args.rotate_s,
-            sparse=args.sparse,
-            max_bytes=args.max_mb * 1e6,
-            keep_free_bytes=args.keep_free_mb * 1e6,
-            buffer_bytes=round(args.buffer_mb * 1e6),
-            bag=args.storage if args.format == "bag" else None,
-        ),
+        settings,
     )
     on_end(recorder.stop.set)
     with contextlib.suppress(

@@ -54,9 +54,8 @@ def serve(args: argparse.Namespace, guard: Guard, announcer: Announcer) -> int:
     announcer.waits_for = "its parts and the first ticks"
     with announcer:
         try:
-            code = event_loop.run(
-                run.twin() if args.twin else run.demo() if args.demo else run.robot()
-            )
+            task = run.twin() if args.twin else run.demo() if args.demo else run.robot()
+            code = event_loop.run(task)
         except asyncio.CancelledError:
             code = EXIT_DONE
     _log.info("hilserver has ended", exit_code=code)

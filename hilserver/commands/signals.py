@@ -67,11 +67,13 @@ def run(args: argparse.Namespace) -> int:
 def row(signal: Signal) -> tuple[str, ...]:
     """Return a signal as one row under `COLUMNS`."""
     length = f"[{len(signal.slots)}]" if signal.is_array else ""
+    kind = signal.type.value + length
+    unit_code = find_unit(signal.unit).code
     return (
         signal.name,
-        signal.type.value + length,
+        kind,
         signal.unit,
-        find_unit(signal.unit).code,
+        unit_code,
         signal.direction.value,
         f"{signal.low:.6g}",
         f"{signal.high:.6g}",

@@ -73,11 +73,12 @@ def run(args: argparse.Namespace) -> int:
     verdict = None if args.require is None else DriveJudge(assembly, args.require)
     setup_logging("ERROR")
     try:
+        lasts_s = args.duration or play.scenario.lasts_s
         asyncio.run(
             _play(
                 assembly,
                 play,
-                args.duration or play.scenario.lasts_s,
+                lasts_s,
                 args.out,
                 verdict,
             )

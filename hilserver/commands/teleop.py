@@ -101,7 +101,8 @@ def run(args: argparse.Namespace) -> int:
 
 async def _drive(args: argparse.Namespace, endpoint: str, password: str) -> int:
     table = robot_table(Ranges(1.0, 1.0, 1.0))
-    hand = Hand(OpcUaAccess(endpoint, SESSION), {s.name: s.type.value for s in table})
+    types = {s.name: s.type.value for s in table}
+    hand = Hand(OpcUaAccess(endpoint, SESSION), types)
     asked = event_loop.end_event()
     with event_loop.hang_ups() as hung_up:
         try:
@@ -175,9 +176,8 @@ class KeyDriver:
                     self._hold.release_all()
                 elif event.name in ("+", "-"):
                     factor = STEP if event.name == "+" else 1 / STEP
-                    self._sizes = self._possible(
-                        {axis: size * factor for axis, size in self._sizes.items()}
-                    )
+                    wanted = {axis: size * factor for axis, size in self._sizes.items()}
+                    self._sizes = self._possible(wanted)
                 elif event.name.isdigit() and int(event.name) < len(LIGHTS):
                     self._lights = int(event.name)
                 elif event.name in AXES:

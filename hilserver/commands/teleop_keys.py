@@ -80,7 +80,8 @@ def _modifiers(fields: list[list[str]]) -> tuple[int, int]:
     """Return modifiers and event (1 press, 2 repeat, 3 release) of a key."""
     given = fields[1] if len(fields) > 1 else []
     modifiers = int(given[0]) - 1 if given and given[0] else 0
-    return modifiers, int(given[1]) if len(given) > 1 and given[1] else 1
+    code = int(given[1]) if len(given) > 1 and given[1] else 1
+    return modifiers, code
 
 
 def _letter(code: str) -> str:

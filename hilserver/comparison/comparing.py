@@ -1,21 +1,35 @@
-"""The first difference of each signal, and how it grows."""
+"""Two recordings: where each signal parts first, how that grows, and how their origins differ."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from fnmatch import fnmatchcase
+from functools import cache
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.comparison.differing import Differing, allowances, differing
-from hilserver.comparison.origin import OriginChange, changes_between
 from hilserver.comparison.rows import Rows, Shared, shared_rows
-from hilserver.errors import LogError
+from hilserver.errors import LogError, meant
 from hilserver.logs import Log
+from hilserver.logs.provenance import configuration_of
+from hilserver.measured.names import known_signals
 
 HORIZONS_S: Final = (0.0, 0.01, 0.1, 1.0, 10.0, 100.0)
 """After the first difference: largest difference until then; the last column is all of it."""
+_OF_THE_RUN: Final = ("version", "kernels", "seed", "base_period_ns", "patch")
+_ABSENT: Final = "(not set)"
+
+
+class Differing(NamedTuple):
+    """The rows of a piece in which a signal differs, and both values in the first of them."""
+
+    signal: str
+    at: NDArray[np.intp]  # shape (n,)
+    size: NDArray[np.float64]  # shape (n,)
+    a: float
+    b: float
 
 
 @dataclass
@@ -57,6 +71,14 @@ class Parting:
         self.largest[-1] = max(self.largest[-1], found.size.max())
 
 
+class OriginChange(NamedTuple):
+    """One entry that is not the same, by its key, and its two values as text."""
+
+    key: str
+    a: str
+    b: str
+
+
 @dataclass(frozen=True)
 class RecordingComparison:
     """The outcome for two recordings.
@@ -88,6 +110,39 @@ class RecordingComparison:
     def is_equal(self) -> bool:
         """Whether all rows and signals are in both, and equal within the tolerances."""
         return not self.partings and self.alone == (0, 0) and self.only_in == ([], [])
+
+
+@dataclass
+class _Partings:
+    """Where each signal parts, found piece by piece."""
+
+    names: list[str]
+    allowed: dict[str, float]
+    by_signal: dict[str, Parting] = field(default_factory=dict)
+    rows: int = 0
+    # segment and time of the very first difference, and the rows before it
+    begun: tuple[int, int] | None = None
+    equal_before: int = 0
+
+    def take(self, piece: Shared) -> None:
+        """Look at more rows of both."""
+        found = []
+        for name in self.names:
+            one = differing(name, piece, self.allowed[name])
+            if one is not None:
+                found.append(one)
+        if found and self.begun is None:
+            at = min(int(one.at[0]) for one in found)
+            self.begun = (piece.segment, int(piece.t_ns[at]))
+            self.equal_before = self.rows + at
+        for one in found:
+            t_ns = int(piece.t_ns[one.at[0]])
+            fresh = Parting(one.signal, piece.segment, t_ns, one.a, one.b)
+            parting = self.by_signal.setdefault(one.signal, fresh)
+            parting.grow(one, piece, self.begun or (0, 0))
+        self.rows += len(piece.t_ns)
+        if self.begun is None:
+            self.equal_before = self.rows
 
 
 def compare(
@@ -126,27 +181,12 @@ def compare(
         raise LogError(
             "the recordings have no signal in common; compare logs of one kind"
         )
-    allowed = allowances(names, tolerances)
-
-    partings: dict[str, Parting] = {}
-    begun: tuple[int, int] | None = None
-    rows = equal_before = 0
+    parts = _Partings(names, allowances(names, tolerances))
     for piece in shared_rows(first, second):
         if see is not None:
             see(piece, names)
-        found = [
-            one for name in names if (one := differing(name, piece, allowed[name]))
-        ]
-        if found and begun is None:
-            at = min(int(one.at[0]) for one in found)
-            begun = (piece.segment, int(piece.t_ns[at]))
-            equal_before = rows + at
-        for one in found:
-            t_ns = int(piece.t_ns[one.at[0]])
-            fresh = Parting(one.signal, piece.segment, t_ns, one.a, one.b)
-            partings.setdefault(one.signal, fresh).grow(one, piece, begun or (0, 0))
-        rows += len(piece.t_ns)
-    if not rows:
+        parts.take(piece)
+    if not parts.rows:
         raise LogError(
             "the recordings have no time in common; compare logs that begin at the same time"
         )
@@ -154,13 +194,102 @@ def compare(
     signals = (head_a.run or {}).get("signals", ())
     only_in_a = sorted(head_a.columns.keys() - head_b.columns.keys())
     only_in_b = sorted(head_b.columns.keys() - head_a.columns.keys())
+    by_time = sorted(parts.by_signal.values(), key=lambda p: (p.segment, p.t_ns))
+    inputs = frozenset(s["name"] for s in signals if s["direction"] == "in")
+    changes = changes_between(head_a.run, head_b.run)
     return RecordingComparison(
         signals=len(names),
-        rows=rows,
-        equal_before=rows if begun is None else equal_before,
-        partings=sorted(partings.values(), key=lambda p: (p.segment, p.t_ns)),
-        inputs=frozenset(s["name"] for s in signals if s["direction"] == "in"),
+        rows=parts.rows,
+        equal_before=parts.equal_before,
+        partings=by_time,
+        inputs=inputs,
         alone=(first.alone, second.alone),
         only_in=(only_in_a, only_in_b),
-        changes=changes_between(head_a.run, head_b.run),
+        changes=changes,
     )
+
+
+def allowances(
+    names: Sequence[str], tolerances: Sequence[tuple[str, float]]
+) -> dict[str, float]:
+    """Return by how much each signal may differ; LogError if a pattern fits none."""
+    allowed = dict.fromkeys(names, 0.0)
+    for pattern, size in tolerances:
+        fitting = [name for name in names if fnmatchcase(name, pattern)]
+        if not fitting:
+            hint = meant(pattern, names, "see 'hilserver signals'")
+            raise LogError(f"--tolerance {pattern}: fits no signal of both; {hint}")
+        allowed |= dict.fromkeys(fitting, size)
+    return allowed
+
+
+def differing(name: str, piece: Shared, allowed: float) -> Differing | None:
+    """Return where and how much a signal differs; None where it does not."""
+    a = piece.a.columns[name][piece.rows_of_a]
+    b = piece.b.columns[name][piece.rows_of_b]
+    if np.array_equal(a.view(np.int64), b.view(np.int64)):
+        return None
+
+    size = sizes(name, a, b)
+    at = np.flatnonzero(size > allowed)
+    if not len(at):
+        return None
+    of_a = float(a[at[0]])
+    of_b = float(b[at[0]])
+    return Differing(name, at, size[at], of_a, of_b)
+
+
+def sizes(
+    name: str, a: NDArray[np.float64], b: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return by how much a signal differs in each row; angles take the shorter way round."""
+    is_gap_a = np.isnan(a)
+    is_gap_b = np.isnan(b)
+    with np.errstate(invalid="ignore"):
+        size = np.where(a == b, 0.0, np.abs(a - b))
+    if _wraps(name):
+        size = np.minimum(size, np.abs(2.0 * math.pi - size))
+    size[is_gap_a & is_gap_b] = 0.0
+    # A value beside none is the largest difference there is, whatever the tolerance.
+    size[is_gap_a ^ is_gap_b] = math.inf
+    return size
+
+
+@cache
+def _wraps(name: str) -> bool:
+    signal = known_signals().get(name)
+    return signal is not None and (signal.low, signal.high) == (-math.pi, math.pi)
+
+
+def changes_between(
+    a: Mapping[str, Any] | None, b: Mapping[str, Any] | None
+) -> list[OriginChange]:
+    """Return what differs between two runs; nothing for logs of others, which do not say."""
+    if a is None or b is None:
+        return []
+    entries_a = dict(_entries(a))
+    entries_b = dict(_entries(b))
+    keys = [*entries_a, *(key for key in entries_b if key not in entries_a)]
+    return [
+        OriginChange(key, entries_a.get(key, _ABSENT), entries_b.get(key, _ABSENT))
+        for key in keys
+        if entries_a.get(key) != entries_b.get(key)
+    ]
+
+
+def _entries(run: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    for key in _OF_THE_RUN:
+        yield key, f"{run.get(key)}"
+    try:
+        configuration = configuration_of(run)
+    except ValueError:
+        return
+    yield from _flat(configuration)
+
+
+def _flat(node: Any, key: str = "") -> Iterator[tuple[str, str]]:
+    if not isinstance(node, Mapping):
+        yield key, f"{node}"
+        return
+    for name, inner in node.items():
+        yield from _flat(inner, f"{key}.{name}" if key else str(name))

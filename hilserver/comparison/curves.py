@@ -7,8 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hilserver.comparison.comparing import RecordingComparison
-from hilserver.comparison.differing import sizes
+from hilserver.comparison.comparing import RecordingComparison, sizes
 from hilserver.comparison.rows import Shared
 from hilserver.comparison.text import as_text
 from hilserver.measured.names import known_signals

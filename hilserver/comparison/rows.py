@@ -82,12 +82,18 @@ def shared_rows(a: Rows, b: Rows) -> Iterator[Shared]:
 
         of_a = a.until(segment)
         of_b = b.until(segment)
-        last_ns = min(a.t_ns[of_a.stop - 1], b.t_ns[of_b.stop - 1])
-        end_a = of_a.start + int(np.searchsorted(a.t_ns[of_a], last_ns, side="right"))
-        end_b = of_b.start + int(np.searchsorted(b.t_ns[of_b], last_ns, side="right"))
+        end_of_a = a.t_ns[of_a.stop - 1]
+        end_of_b = b.t_ns[of_b.stop - 1]
+        last_ns = min(end_of_a, end_of_b)
+        n_a = int(np.searchsorted(a.t_ns[of_a], last_ns, side="right"))
+        end_a = of_a.start + n_a
+        n_b = int(np.searchsorted(b.t_ns[of_b], last_ns, side="right"))
+        end_b = of_b.start + n_b
+        times_a = a.t_ns[of_a.start : end_a]
+        times_b = b.t_ns[of_b.start : end_b]
         t_ns, in_a, in_b = np.intersect1d(
-            a.t_ns[of_a.start : end_a],
-            b.t_ns[of_b.start : end_b],
+            times_a,
+            times_b,
             assume_unique=True,
             return_indices=True,
         )

@@ -105,16 +105,12 @@ def _with_solids(
                 c = math.cos(solid.yaw_rad)
                 s = math.sin(solid.yaw_rad)
                 (x, y, _), (a, b, _) = solid.centre_m, solid.half_m
-                corners = [
-                    (x + c * u - s * v, y + s * u + c * v)
-                    for u, v in ((a, b), (-a, b), (-a, -b), (a, -b))
+                signs = ((a, b), (-a, b), (-a, -b), (a, -b))
+                corners = [(x + c * u - s * v, y + s * u + c * v) for u, v in signs]
+                sides = [
+                    (*corner, *corners[(i + 1) % 4]) for i, corner in enumerate(corners)
                 ]
-                outline = np.array(
-                    [
-                        (*corner, *corners[(i + 1) % 4])
-                        for i, corner in enumerate(corners)
-                    ]
-                ).reshape(-1)
+                outline = np.array(sides).reshape(-1)
                 outlines.append(outline)
     return Hall(np.concatenate(outlines), tuple(solids))
 
@@ -143,11 +139,10 @@ def _slope(entry: dict[str, Any]) -> Solid:
     yaw = math.atan2(y2 - y1, x2 - x1)
     below = 0.5 * SLAB_M * math.sin(pitch)
     deep = 0.5 * SLAB_M * math.cos(pitch)
-    centre = (
-        0.5 * (x1 + x2) + below * math.cos(yaw),
-        0.5 * (y1 + y2) + below * math.sin(yaw),
-        0.5 * rise - deep,
-    )
+    x = 0.5 * (x1 + x2) + below * math.cos(yaw)
+    y = 0.5 * (y1 + y2) + below * math.sin(yaw)
+    z = 0.5 * rise - deep
+    centre = (x, y, z)
     half = (0.5 * math.hypot(run, rise), 0.5 * width, 0.5 * SLAB_M)
     return Solid(centre, half, yaw, pitch, carries=True)
 
@@ -156,9 +151,11 @@ def _threshold(entry: dict[str, Any]) -> Solid:
     (x1, y1), (x2, y2) = _point(entry, "from"), _point(entry, "to")
     height = _size(entry, "height_m")
     width = _size(entry, "width_m")
-    half = (0.5 * math.hypot(x2 - x1, y2 - y1), 0.5 * width, 0.5 * height)
+    length = math.hypot(x2 - x1, y2 - y1)
+    half = (0.5 * length, 0.5 * width, 0.5 * height)
     centre = (0.5 * (x1 + x2), 0.5 * (y1 + y2), 0.5 * height)
-    return Solid(centre, half, math.atan2(y2 - y1, x2 - x1), carries=True)
+    yaw = math.atan2(y2 - y1, x2 - x1)
+    return Solid(centre, half, yaw, carries=True)
 
 
 def _box(entry: dict[str, Any]) -> Solid:
@@ -167,4 +164,5 @@ def _box(entry: dict[str, Any]) -> Solid:
         raise ValueError
     (yaw,) = _point({"yaw": [entry.get("yaw_rad", 0.0)]}, "yaw", 1)
     half = (0.5 * length, 0.5 * width, 0.5 * height)
-    return Solid((float(x), float(y), 0.5 * height), half, float(yaw))
+    centre = (float(x), float(y), 0.5 * height)
+    return Solid(centre, half, float(yaw))

@@ -73,8 +73,9 @@ class _Noise(_FindingsPart):
             wider = (dof / (dof - 2.0)) ** 0.5
         else:
             wider = 1.0
+        white_sd = self.white_sd * wider
         return MeasuredNoise(
-            self.white_sd * wider, self.ou_sd, self.ou_tau_s or 1.0, self.step or 0.0
+            white_sd, self.ou_sd, self.ou_tau_s or 1.0, self.step or 0.0
         )
 
 

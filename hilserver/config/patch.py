@@ -194,7 +194,8 @@ class Patch:
         terms = {
             f"{TERM}{main_part(n)}": term.value for n, term in self.model.terms.items()
         }
-        return terms | {n: _number(p.value) for n, p in self.model.parameters.items()}
+        parameters = {n: _number(p.value) for n, p in self.model.parameters.items()}
+        return terms | parameters
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -250,9 +251,10 @@ class Patch:
         """Return a warning if the patch was made for another configuration."""
         if self.model.made_from.config_sha256 == config_sha256:
             return None
+        made_for = self.model.made_from.config_sha256[:12]
         return (
             f"{self.path or 'the patch'}: was fitted to another configuration"
-            f" ({self.model.made_from.config_sha256[:12]}, this one is {config_sha256[:12]});"
+            f" ({made_for}, this one is {config_sha256[:12]});"
             " its terms may not fit"
         )
 

@@ -79,9 +79,11 @@ class NodeAddress:
         if wrong:
             raise ValueError(f"'{text}' is not a node id: {wrong}")
         uri = match["uri"]
+        namespace_uri = uri.replace("%3B", ";").replace("%25", "%") if uri else None
+        index = int(match["index"]) if match["index"] else None
         return cls(
-            namespace_uri=uri.replace("%3B", ";").replace("%25", "%") if uri else None,
-            namespace_index=int(match["index"]) if match["index"] else None,
+            namespace_uri=namespace_uri,
+            namespace_index=index,
             identifier=identifier,
         )
 
@@ -200,19 +202,19 @@ class PeerConfig(LinkSection):
                     f"heartbeat of peer '{self.name}' is for s7://: use sequence_node"
                 )
             return self
+        polled = "poll" if self.mode == "auto" else self.mode
         for key, given, default in (
             ("security", self.security, PeerSecurity()),
             ("sequence_node", self.sequence_node, None),
-            ("mode", "poll" if self.mode == "auto" else self.mode, "poll"),
+            ("mode", polled, "poll"),
         ):
             if given != default:
                 raise ValueError(
                     f"{key} of peer '{self.name}' is for opc.tcp://: leave it out"
                 )
         try:
-            s7_peer.check_blocks(
-                named[: len(self.read)], self.write.values(), self.heartbeat
-            )
+            read = named[: len(self.read)]
+            s7_peer.check_blocks(read, self.write.values(), self.heartbeat)
         except ValueError as error:
             raise ValueError(f"peer '{self.name}': {error}") from None
         return self

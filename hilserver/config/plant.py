@@ -211,13 +211,16 @@ def to_parameters(
 
     values = plant.model_dump(exclude={"slice", "controller", "process"})
     hall = load_hall(sensors.tof.hall, folder or Path())
+    period_s = _period_s(periods, "plant.slice", plant.slice)
+    controller = parts.Controller(**plant.controller.model_dump())
+    process = parts.Process(**plant.process.model_dump())
     robot = RobotParameters(
         **values,
         **kinematics.model_dump(),
-        period_s=_period_s(periods, "plant.slice", plant.slice),
+        period_s=period_s,
         slice_name=plant.slice,
-        controller=parts.Controller(**plant.controller.model_dump()),
-        process=parts.Process(**plant.process.model_dump()),
+        controller=controller,
+        process=process,
         imu=parts.Imu(**part("imu")),
         battery=parts.Battery(**part("battery")),
         tof=parts.RangeFinders(**part("tof")),

@@ -116,10 +116,12 @@ class Config(Section):
 
         One with a section of its own exists if that is enabled.
         """
-        optional = {driver.kind: driver.is_enabled for driver in self.drivers} | {
+        by_driver = {driver.kind: driver.is_enabled for driver in self.drivers}
+        by_hand = {
             "page": self.page.enabled or self.foxglove.enabled,
             "peer": True,
         }
+        optional = by_driver | by_hand
         return tuple(
             source for source in self.control.priority if optional.get(source, True)
         )

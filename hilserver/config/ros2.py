@@ -216,9 +216,9 @@ class Ros2Config(LinkSection):
         known = FLAVOURS[self.flavour].topics
         for name in self.topics:
             if name not in known:
+                hint = meant(name, known, "its names are " + ", ".join(known))
                 raise ValueError(
-                    f"topics: flavour {self.flavour} has no topic '{name}';"
-                    f" {meant(name, known, 'its names are ' + ', '.join(known))}"
+                    f"topics: flavour {self.flavour} has no topic '{name}'; {hint}"
                 )
         if self.reenable == "service" and not self._enabled_by:
             raise ValueError(

@@ -79,7 +79,8 @@ class BlockPlace:
     def parse(cls, kind: str, at: str) -> Self:
         """Return the place of a type and an offset; ValueError with one sentence if invalid."""
         byte, _, bit = at.partition(".")
-        if not (byte.isdecimal() and bit in ("", *"01234567")) or len(byte) > 5:
+        is_number = byte.isdecimal() and bit in ("", *"01234567")
+        if not is_number or len(byte) > 5:
             raise ValueError(
                 f"at '{at}': write the byte, and for a BOOL byte.bit, as 6.1"
             )

@@ -102,9 +102,8 @@ class FigureOfEight:
         values: dict[str, object] = {
             f"rpm_set_{w.upper()}": rpm for w, rpm in wheels.items()
         }
-        await self.server.offer(
-            values | {"enable": True, SEQUENCE: self.sequence}, datetime.now(UTC)
-        )
+        control = {"enable": True, SEQUENCE: self.sequence}
+        await self.server.offer(values | control, datetime.now(UTC))
 
     async def run(self) -> None:
         """Cycle until cancelled, or until the process that started us is gone."""

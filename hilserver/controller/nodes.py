@@ -46,10 +46,12 @@ def node_id(name: str) -> str:
 
 def demo_peer(endpoint: str, *, name: str = "controller") -> PeerConfig:
     """Return the peer configuration of the embedded controller at `endpoint`."""
+    read = {node_id(node): signal for node, signal in SETPOINTS.items()}
+    written = {signal: node_id(node) for node, signal in SENSORS.items()}
     return PeerConfig(
         name=name,
         endpoint=endpoint,
-        read={node_id(node): signal for node, signal in SETPOINTS.items()},
+        read=read,
         sequence_node=node_id(SEQUENCE),
-        write={signal: node_id(node) for node, signal in SENSORS.items()},
+        write=written,
     )

@@ -48,11 +48,15 @@ class Eight:
 
     def point_m(self, s: float) -> tuple[float, float]:
         """Return the path point (x, y) [m] at the parameter `s` [rad]."""
-        return self.half_width_m * math.sin(s), self.half_height_m * math.sin(2 * s)
+        x_m = self.half_width_m * math.sin(s)
+        y_m = self.half_height_m * math.sin(2 * s)
+        return x_m, y_m
 
     def tangent_m(self, s: float) -> tuple[float, float]:
         """Return d(x, y)/ds [m]; never zero."""
-        return self.half_width_m * math.cos(s), 2 * self.half_height_m * math.cos(2 * s)
+        x_m = self.half_width_m * math.cos(s)
+        y_m = 2 * self.half_height_m * math.cos(2 * s)
+        return x_m, y_m
 
 
 @dataclass(frozen=True, slots=True)

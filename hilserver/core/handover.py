@@ -248,9 +248,8 @@ class HandOver:
         kind = before if self._fallback == "before" and self.may_fall_back else NOBODY
         self.take(kind)
         who = "nobody drives" if kind == NOBODY else f"'{kind}' drives again"
-        self._events.publish(
-            Event(EventKind.STATE, 500, gone, f"'{gone}' {why}: {who}")
-        )
+        event = Event(EventKind.STATE, 500, gone, f"'{gone}' {why}: {who}")
+        self._events.publish(event)
 
     def _passed_on(self, source: str, rows: list[Row]) -> list[Row]:
         """Return rows that end the commands of another source of this kind: two never mix."""

@@ -191,9 +191,8 @@ class InputGate(HandOver):
         placed = self._passed_on(source, group)
         is_renewed = renews and not is_waiting and not lost
         placed += self._placed(source, group, came_ns if is_renewed else None)
-        placed += self._sampled(
-            rows if news is None else rows.keys() & news, now_ns, age_ns
-        )
+        fresh = rows if news is None else rows.keys() & news
+        placed += self._sampled(fresh, now_ns, age_ns)
         if placed and not self._image.push(placed):
             refused |= dict.fromkeys(rows, Refusal.QUEUE_FULL)
             rows = {}
@@ -279,9 +278,8 @@ class InputGate(HandOver):
         self, names: Iterable[str], time_s: float, age_s: float = 0.0, tick: int = 0
     ) -> list[Row]:
         """Return rows that count a sample of each measured group, in simulated time."""
-        groups = {
-            n.split(".")[1] for n in names if n.startswith(MEASURED)
-        } & self._counted
+        named_groups = {n.split(".")[1] for n in names if n.startswith(MEASURED)}
+        groups = named_groups & self._counted
         self._samples.update(groups)
         rows: list[Row] = []
         for group in sorted(groups):
@@ -369,7 +367,8 @@ class InputGate(HandOver):
     def _tell_refused(
         self, source: str, name: str, value: object, reason: Refusal
     ) -> None:
-        text = f"{source}: {name} = {value!r:.60} refused: {self.explain(source, name, reason)}"
+        why = self.explain(source, name, reason)
+        text = f"{source}: {name} = {value!r:.60} refused: {why}"
         self._events.publish(Event(EventKind.SETPOINT_REFUSED, 400, source, text))
 
     def explain(self, source: str, name: str, reason: Refusal) -> str:
@@ -475,7 +474,8 @@ class InputGate(HandOver):
 
     def accepted_value(self, name: str) -> tuple[float, ...]:
         """Return the last accepted value of a signal, one number per slot."""
-        return tuple(self._newest[slot][1] for slot in self._table[name].slots)
+        slots = self._table[name].slots
+        return tuple(self._newest[slot][1] for slot in slots)
 
     def newest(self, name: str) -> float | None:
         """Return the newest accepted value of a scalar, which the next tick latches; or None."""

@@ -89,7 +89,8 @@ class Leases:
         """Return where a value of this kind of source for `slot` is to be pushed."""
         if slot >= N_COMMANDS:
             return slot
-        return self._slot(leases.VALUES + self._number(kind) * leases.ROW + slot)
+        row = leases.VALUES + self._number(kind) * leases.ROW
+        return self._slot(row + slot)
 
     def renew(self, source: str, came_ns: int) -> None:
         """Renew the lease of `source`, which sent something at `came_ns`, but no command."""

@@ -168,10 +168,11 @@ class LiveParameters:
             robot = with_values(self._robot, plant, self._geometric)
         else:
             robot = self._robot
+        blocks = [_with_own(block, own) for block in self._composition.blocks]
         composition = replace(
             self._composition,
             parameters=pack(robot),
-            blocks=[_with_own(block, own) for block in self._composition.blocks],
+            blocks=blocks,
             settings={**self.values, **values},
         )
         return robot, composition

@@ -127,9 +127,11 @@ class SnapshotStore:
         path = self._path(name)
         state, meta = await asyncio.to_thread(read_snapshot, path)
         if (key := self.differs_in(meta["identity"])) is not None:
+            made_with = _short(meta["identity"].get(key))
+            here = _short(self.identity[key])
             raise ControlRefused(
-                f"snapshot '{name}' was made with {key} {_short(meta['identity'].get(key))}, this"
-                f" run has {_short(self.identity[key])}; use the configuration it was made with"
+                f"snapshot '{name}' was made with {key} {made_with}, this"
+                f" run has {here}; use the configuration it was made with"
             )
         if state.shape != self._image.shadow.shape:
             raise ControlRefused(f"snapshot '{name}' holds a state of a different size")

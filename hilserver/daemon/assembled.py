@@ -82,18 +82,18 @@ class Assembly:
     def identity(self) -> dict[str, str]:
         """What two runs must have in common for one to continue the other."""
         c = self.composition
-        digest = hashlib.sha256(
-            pack(self.configured).numbers.tobytes() + c.hall.tobytes()
-        )
+        numbers = pack(self.configured).numbers.tobytes() + c.hall.tobytes()
+        digest = hashlib.sha256(numbers)
         if c.body is not None:
             digest.update(c.body.identity)
         if c.observer is not None:
             digest.update(c.observer.source.encode() + c.observer.constants.tobytes())
         for block in c.blocks:
             wiring: tuple[object, ...] = (block.name, block.slice, dict(block.inputs))
+            drives = [dict(block.drives)] if block.drives else ()
             wiring += (
                 dict(block.parameters),
-                *([dict(block.drives)] if block.drives else ()),
+                *drives,
             )
             own = block.model
             if own is None:
@@ -111,6 +111,9 @@ class Assembly:
     @property
     def provenance(self) -> dict[str, Any]:
         """What every recording states about the run that made it."""
+        not_replayable = (
+            {"not_replayable": self.not_replayable} if self.not_replayable else {}
+        )
         return {
             "version": __version__,
             "kernels": kernel_hash(),
@@ -121,7 +124,7 @@ class Assembly:
             "seed": self.config.plant.seed,
             "base_period_ns": self.base_period_ns,
             "parameters": list(self.composition.settings),
-        } | ({"not_replayable": self.not_replayable} if self.not_replayable else {})
+        } | not_replayable
 
     @property
     def not_replayable(self) -> list[str]:

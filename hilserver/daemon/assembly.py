@@ -334,10 +334,11 @@ class _AssemblyBuilder:
             raise self._fail(
                 (*here, "inputs"), f"input '{missing[0]}' of the block is not wired"
             )
+        driven = [output.name for output in declared.outputs]
         for kind, given, known in (
             ("inputs", block.inputs, declared.inputs),
             ("parameters", block.parameters, declared.parameters),
-            ("drives", block.drives, [output.name for output in declared.outputs]),
+            ("drives", block.drives, driven),
         ):
             for name in given:
                 if name not in known:
@@ -414,9 +415,8 @@ def _settings(
     for block in blocks:
         own = zip(block.declaration.parameters, block.values, strict=True)
         values |= {f"{BLOCK}{block.name}.{key}": value for key, value in own}
-    return {
-        name: values[name] for name in table_of((b.name, b.declaration) for b in blocks)
-    }
+    owned = table_of((b.name, b.declaration) for b in blocks)
+    return {name: values[name] for name in owned}
 
 
 def _outputs(block: BlockUse) -> list[BlockOutput]:

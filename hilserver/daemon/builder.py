@@ -77,16 +77,20 @@ class Pace:
         scheduler = assembly.config.scheduler
         least = VIRTUAL_RING if scheduler.backend == "virtual" else 0
         timeout_ms = config.control.command_timeout_ms
+        ring_frames = max(config.image.ring_frames, least)
+        limit_ticks = (
+            0
+            if timeout_ms is None
+            else max(1, round(timeout_ms * 1e6 / assembly.base_period_ns))
+        )
         return cls(
             backend=scheduler.backend,
             image=config.image.name,
-            ring_frames=max(config.image.ring_frames, least),
+            ring_frames=ring_frames,
             policy=OverrunPolicy(scheduler.policy, scheduler.catch_up_limit),
             limits=overrun_limits(scheduler.limits),
             realtime=RealtimeSettings(**scheduler.realtime.model_dump()),
-            command_limit_ticks=0
-            if timeout_ms is None
-            else max(1, round(timeout_ms * 1e6 / assembly.base_period_ns)),
+            command_limit_ticks=limit_ticks,
             paused=paused,
             freeze_gc=True,
         )
@@ -173,18 +177,21 @@ def build(assembly: Assembly, pace: Pace | None = None) -> Core:
         composition = assembly.composition
         held = leases.words_needed(OTHER_LEASES + len(assembly.config.drivers))
         statistics = words_needed(len(assembly.slices), LINEAR_BINS)
-        image = ProcessImage(
+        name = (
             f"{MADE_UP}-{os.getpid()}-{time.monotonic_ns()}"
             if is_made_up
-            else pace.image,
+            else pace.image
+        )
+        fixed = composition.fixed_regions | {
+            "statistics": statistics,
+            board.REGION: board.WORDS,
+            leases.REGION: held,
+        }
+        image = ProcessImage(
+            name,
             assembly.table,
             live=composition.live_regions,
-            fixed=composition.fixed_regions
-            | {
-                "statistics": statistics,
-                board.REGION: board.WORDS,
-                leases.REGION: held,
-            },
+            fixed=fixed,
             base_period_ns=assembly.base_period_ns,
             ring_length=pace.ring_frames,
             queue_rows=pace.queue_rows,

@@ -46,6 +46,15 @@ class Surroundings:
         for name, slice_ in slices_by_name(scheduler).items():
             table[name]["margin_last_us"] = slice_.margin_last_ns * 1e-3
             table[name]["latency_counts"] = slice_.latency_counts.tolist()
+        acting = [
+            {
+                "name": f.name,
+                "fault": f.fault,
+                "place": f.place,
+                "acts": f.is_acting,
+            }
+            for f in core.faults.active()
+        ]
         return {
             "version": __version__,
             "monotonic_s": time.monotonic(),  # at which all this was so
@@ -63,15 +72,7 @@ class Surroundings:
             "slices": table,
             "peers": _table(figures.peer_table(self.peers())),
             "audit": figures.audit_table(self.audit),
-            "faults": [
-                {
-                    "name": f.name,
-                    "fault": f.fault,
-                    "place": f.place,
-                    "acts": f.is_acting,
-                }
-                for f in core.faults.active()
-            ],
+            "faults": acting,
             "gaps": _finite(self.outputs.model_gap()),
             "patch": desk.patches.loaded,
             "patch_notice": desk.patches.notice,
@@ -91,10 +92,13 @@ class Surroundings:
             if key in shown:
                 shown[key]["count"] += 1
             elif len(shown) < EVENTS:
+                age_s = round((now_ns - event.monotonic_ns) * 1e-9, 1)
+                monotonic_s = round(event.monotonic_ns * 1e-9, 3)
+                simulated_s = _number(round(event.simulated_s, 6))
                 shown[key] = {
-                    "age_s": round((now_ns - event.monotonic_ns) * 1e-9, 1),
-                    "monotonic_s": round(event.monotonic_ns * 1e-9, 3),
-                    "simulated_s": _number(round(event.simulated_s, 6)),
+                    "age_s": age_s,
+                    "monotonic_s": monotonic_s,
+                    "simulated_s": simulated_s,
                     "kind": event.kind.value,
                     "severity": event.severity,
                     "source": event.source,

@@ -92,16 +92,16 @@ def make_desk(core: Core, stage: ScenarioPlayer) -> Desk:
     assembly = core.assembly
     config = core.assembly.config
     folders = config.folders
-    return Desk(
-        Scenarios(assembly.folder / folders.scenarios, stage, core),
-        Recordings(
-            assembly.folder / folders.recordings,
-            config.recording,
-            core.image.name,
-            core.tasks,
-        ),
-        Patches(assembly.folder / folders.patches, core),
+    scenarios = Scenarios(assembly.folder / folders.scenarios, stage, core)
+    folder = assembly.folder / folders.recordings
+    recordings = Recordings(
+        folder,
+        config.recording,
+        core.image.name,
+        core.tasks,
     )
+    patches = Patches(assembly.folder / folders.patches, core)
+    return Desk(scenarios, recordings, patches)
 
 
 def make_metrics(

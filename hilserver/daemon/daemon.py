@@ -257,9 +257,10 @@ class Daemon:
         if (
             missing and not self.clock.simulated
         ):  # virtual time needs no real-time system
+            names = ", ".join(item.name for item in missing)
             _log.warning(
                 "degraded",
-                missing=", ".join(item.name for item in missing),
+                missing=names,
                 remedies="hilserver latency-test",
                 details=figures.audit_table(missing),
             )

@@ -103,10 +103,12 @@ class Scenarios:
         tick = self._core.scheduler.tick
         if playing is None or not playing.start_tick - 1 <= tick <= playing.end_tick:
             return None
+        seconds = round((tick - playing.start_tick + 1) * self._period_s, 1)
+        length_s = (playing.end_tick - playing.start_tick) * self._period_s
         return {
             "name": playing.name,
-            "seconds": round((tick - playing.start_tick + 1) * self._period_s, 1),
-            "length_s": (playing.end_tick - playing.start_tick) * self._period_s,
+            "seconds": seconds,
+            "length_s": length_s,
         }
 
 

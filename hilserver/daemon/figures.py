@@ -32,14 +32,16 @@ def slice_table(scheduler: Scheduler) -> Table:
         for factor in (tick.real_time_factor, tick.real_time_factor_total)
     )
     for name, f in slices_by_name(scheduler).items():
+        latency_us = _us(f.latency_sum_ns / f.count) if f.count else None
+        execution_us = _us(f.execution_sum_ns / f.count) if f.count else None
         table[name] = {
             "period_ms": f.period_ns * 1e-6,
             "count": f.count,
-            "latency_mean_us": _us(f.latency_sum_ns / f.count) if f.count else None,
+            "latency_mean_us": latency_us,
             "latency_max_us": _us(f.latency_max_ns),
             "latency_max_tick": f.latency_max_tick if f.count else None,
             "jitter_us": _us(f.window.deviation_ns),
-            "execution_mean_us": _us(f.execution_sum_ns / f.count) if f.count else None,
+            "execution_mean_us": execution_us,
             "execution_max_us": _us(f.execution_max_ns),
             "execution_max_tick": f.execution_max_tick if f.count else None,
             "margin_min_us": _us(f.margin_min_ns),
@@ -58,6 +60,8 @@ def peer_table(peers: Iterable[PeerStatus]) -> Table:
     now_ns = time.monotonic_ns()
     table: Table = {}
     for p in peers:
+        offset_ms = None if p.clock_offset_s is None else p.clock_offset_s * 1e3
+        complaints = "; ".join(p.faults.values())
         table[p.name] = {
             "connected": p.connected,
             "state": str(p.state),
@@ -69,16 +73,14 @@ def peer_table(peers: Iterable[PeerStatus]) -> Table:
             "round_trip_ms": _ms(p.round_trip.last_ns),
             "one_way_ms": _ms(p.one_way.last_ns),
             "interval_ms": _ms(p.interval.last_ns),
-            "clock_offset_ms": None
-            if p.clock_offset_s is None
-            else p.clock_offset_s * 1e3,
+            "clock_offset_ms": offset_ms,
             "granted_publishing_ms": p.granted_publishing_ms,
             "granted_sampling_ms": p.granted_sampling_ms,
             "input_age_s": p.input_age_s(now_ns),
             "sequence_received": p.sequence_received,
             "sequence_missed": p.sequence_missed,
             "writes": p.writes,
-            "faults": "; ".join(p.faults.values()),
+            "faults": complaints,
             **p.figures,
         }
     return table

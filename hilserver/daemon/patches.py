@@ -16,7 +16,7 @@ from hilserver.errors import ControlRefused
 from hilserver.kernel.fitted import fitted_limits
 from hilserver.parameters import check, named
 from hilserver.plant.errors import PlantError
-from hilserver.small_file import sync_folder
+from hilserver.program.whole_file import sync_folder
 
 MOST_FILES: Final = 100  # patches in the folder: saving them must not fill the disk
 
@@ -170,20 +170,22 @@ class Patches:
         values = parameters.differing
         if not values:
             raise ControlRefused("no parameter differs from the configuration")
+        saved = {
+            n: {
+                "value": None if isnan(v) else v,
+                "unit": parameters.table[n].unit,
+            }
+            for n, v in values.items()
+        }
+        made_from = {
+            "config_sha256": self.config_sha256,
+            "version": __version__,
+        }
         text = yaml.safe_dump(
             {
                 "schema": SCHEMA_2,
-                "made_from": {
-                    "config_sha256": self.config_sha256,
-                    "version": __version__,
-                },
-                "parameters": {
-                    n: {
-                        "value": None if isnan(v) else v,
-                        "unit": parameters.table[n].unit,
-                    }
-                    for n, v in values.items()
-                },
+                "made_from": made_from,
+                "parameters": saved,
             },
             sort_keys=False,
             allow_unicode=True,

@@ -33,11 +33,10 @@ class DriveGeometry:
         """Return the geometry of a robot, with the terms that it has."""
         p = pack(robot)
         traction = float(p.traction)
-        return cls(
-            float(p.radius_left) * traction,
-            float(p.radius_right) * traction,
-            traction / abs(float(p.yaw_gain)),
-        )
+        left_m = float(p.radius_left) * traction
+        right_m = float(p.radius_right) * traction
+        separation_m = traction / abs(float(p.yaw_gain))
+        return cls(left_m, right_m, separation_m)
 
     @property
     def radius_m(self) -> float:
@@ -47,7 +46,8 @@ class DriveGeometry:
 
 def patched(robot: RobotParameters, terms: Mapping[str, float]) -> RobotParameters:
     """Return the robot with the terms of a patch."""
-    return with_values(robot, {f"{TERM}{name}": value for name, value in terms.items()})
+    values = {f"{TERM}{name}": value for name, value in terms.items()}
+    return with_values(robot, values)
 
 
 def for_simulator(
@@ -75,7 +75,8 @@ def for_simulator(
     factor = (of_left + of_right) / 2.0
     # one side turns the body a little more than it should, the other a little less
     gap = abs(of_left - of_right) / 2.0
-    geometry = DriveGeometry(
-        base.left_m / left_v, base.right_m / right_v, base.separation_m * factor
-    )
+    left_m = base.left_m / left_v
+    right_m = base.right_m / right_v
+    separation_m = base.separation_m * factor
+    geometry = DriveGeometry(left_m, right_m, separation_m)
     return geometry, gap

@@ -159,14 +159,17 @@ def _mecanum(path: Path, parameters: Mapping[str, Any]) -> Read:
 
 def differential_text(geometry: DriveGeometry, radius_m: float, track_m: float) -> str:
     """Return the parameters that give a controller this geometry, as multipliers."""
+    separation_ratio = geometry.separation_m / track_m
+    left_ratio = geometry.left_m / radius_m
+    right_ratio = geometry.right_m / radius_m
     return f"""\
 {DIFFERENTIAL}:
   ros__parameters:
     wheel_separation: {track_m!r}
     wheel_radius: {radius_m!r}
-    wheel_separation_multiplier: {geometry.separation_m / track_m!r}
-    left_wheel_radius_multiplier: {geometry.left_m / radius_m!r}
-    right_wheel_radius_multiplier: {geometry.right_m / radius_m!r}
+    wheel_separation_multiplier: {separation_ratio!r}
+    left_wheel_radius_multiplier: {left_ratio!r}
+    right_wheel_radius_multiplier: {right_ratio!r}
 """
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hilserver.arrays import Array
 from hilserver.errors import LogError
@@ -48,6 +49,26 @@ class Trajectory:
     about: Mapping[str, Array]  # other signals of its source, shape (n,)
 
 
+def _as_sampled(
+    log: Log,
+) -> tuple[dict[str, Array], NDArray[np.int64], dict[str, Array]]:
+    """Return columns and segments of the daemon's own log, and how old each sample is [s]."""
+    sampling = own_sampling(log)
+    measured = {n: v for n, v in log.columns.items() if n.startswith(MEASURED)}
+    own = {n: v for n, v in log.columns.items() if n not in measured}
+    frames = frames_of(replace(log, columns=own), sampling)
+    segment = frames.segment
+    columns = dict(frames.columns)
+    age_s = dict(frames.age_s)
+
+    # what came from outside loses its prefix, under which the robot's own stands here
+    about = {n: v for n, v in own.items() if n.startswith(("internal.", "sim."))}
+    frames = frames_of(replace(log, columns=measured | about), sampling)
+    columns |= {MEASURED + n: v for n, v in frames.columns.items()}
+    age_s |= {MEASURED + n: v for n, v in frames.age_s.items()}
+    return columns, segment, age_s
+
+
 def trajectories_of(log: Log) -> list[Trajectory]:
     """Return every pose that a log holds, segment by segment; LogError if there is none.
 
@@ -55,22 +76,10 @@ def trajectories_of(log: Log) -> list[Trajectory]:
     time when it was taken.
     """
     columns = log.columns
-    age_s = dict[str, Array]()
     segment = log.segment
+    age_s: Mapping[str, Array] = {}
     if is_of_the_daemon(log):
-        sampling = own_sampling(log)
-        measured = {n: v for n, v in columns.items() if n.startswith(MEASURED)}
-        own = {n: v for n, v in columns.items() if n not in measured}
-        frames = frames_of(replace(log, columns=own), sampling)
-        columns = frames.columns
-        age_s = dict(frames.age_s)
-        segment = frames.segment
-
-        # what came from outside loses its prefix, under which the robot's own stands here
-        about = {n: v for n, v in own.items() if n.startswith(("internal.", "sim."))}
-        frames = frames_of(replace(log, columns=measured | about), sampling)
-        columns = {**columns, **{MEASURED + n: v for n, v in frames.columns.items()}}
-        age_s |= {MEASURED + n: v for n, v in frames.age_s.items()}
+        columns, segment, age_s = _as_sampled(log)
 
     found: list[Trajectory] = []
     nothing = np.full(len(log), np.nan)
@@ -222,13 +231,14 @@ def _message(robot: RosFrame, one: Trajectory, row: int) -> Any:
     ahead, left, turn = np.nan_to_num(twist).tolist()
     x_m, y_m, yaw_rad = one.pose[row].tolist()
     turn_variance = 0.0 if one.has_yaw else UNKNOWN_VARIANCE
+    motion_covariance = planar_covariance(*motion.tolist())
     return planar_odometry(
         robot,
         "map",
         (x_m, y_m, yaw_rad),
         planar_covariance(0.0, 0.0, turn_variance),
         (ahead, left, turn),
-        planar_covariance(*motion.tolist()),
+        motion_covariance,
     )
 
 

@@ -59,11 +59,13 @@ def read(path: Path) -> Read:
     left_m = sum(w.radius_m for w in left) / len(left)
     right_m = sum(w.radius_m for w in right) / len(right)
     x_m = [wheel.x_m for wheel in wheels]
+    left_y_m = sum(w.y_m for w in left) / len(left)
+    right_y_m = sum(w.y_m for w in right) / len(right)
+    wheelbase_m = max(x_m) - min(x_m) if len(left) == 2 else None
     plant: dict[str, Any] = {
         "wheel_radius_m": (left_m + right_m) / 2.0,
-        "track_m": sum(w.y_m for w in left) / len(left)
-        - sum(w.y_m for w in right) / len(right),
-        "wheelbase_m": max(x_m) - min(x_m) if len(left) == 2 else None,
+        "track_m": left_y_m - right_y_m,
+        "wheelbase_m": wheelbase_m,
         "icr_offset_m": 0.0,
     }
     # no element of a URDF says that wheels have rollers, but names and meshes do

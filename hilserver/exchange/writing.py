@@ -235,7 +235,8 @@ def _covariances(answer: RobotAnswer) -> list[str]:
         return ["The log does not show the noise of the wheels: no covariance"]
     true = DriveGeometry.of(answer.true)
     wheels = 2 if answer.robot.wheelbase_m is None else 4
-    variance = sum(sd * sd for sd in sds) / len(sds) / wheels
+    mean_variance = sum(sd * sd for sd in sds) / len(sds)
+    variance = mean_variance / wheels
     along = (true.radius_m * RAD_S_PER_RPM) ** 2 * variance
     turn = 4.0 * along / true.separation_m**2
     unseen = "1000000.0, 1000000.0, 1000000.0"  # z, roll, pitch
@@ -354,26 +355,30 @@ def _numbers(answer: RobotAnswer) -> list[tuple[str, float, str]]:
     values = answer.values
     controller = robot.controller
     process = robot.process
+    k_p = controller.k_p * (1.0 + values.get("controller_gains.p", 0.0))
+    k_i = controller.k_i * (1.0 + values.get("controller_gains.i", 0.0))
+    gain = process.gain * (1.0 + values.get("process_gain", 0.0))
+    t1_s = process.t1_s * (1.0 + values.get("time_constant", 0.0))
     return [
         ("wheel_radius_left", true.left_m, "m"),
         ("wheel_radius_right", true.right_m, "m"),
         ("wheel_separation", true.separation_m, "m"),
         (
             "k_p",
-            controller.k_p * (1.0 + values.get("controller_gains.p", 0.0)),
+            k_p,
             "%/rpm",
         ),
         (
             "k_i",
-            controller.k_i * (1.0 + values.get("controller_gains.i", 0.0)),
+            k_i,
             "%/(rpm s)",
         ),
         (
             "process_gain",
-            process.gain * (1.0 + values.get("process_gain", 0.0)),
+            gain,
             "rpm/%",
         ),
-        ("t1", process.t1_s * (1.0 + values.get("time_constant", 0.0)), "s"),
+        ("t1", t1_s, "s"),
         ("t2", process.t2_s, "s"),
     ]
 

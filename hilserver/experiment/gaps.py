@@ -147,6 +147,7 @@ def continuous(courses: Courses, t_s: Array, yaw: Array, span: Indices) -> Array
         own = span == number
         out[own] = np.unwrap(yaw[own])
         first = int(np.argmax(own))
-        turns = np.rint((model[first] - out[first]) / (2.0 * np.pi))
+        turns_apart = (model[first] - out[first]) / (2.0 * np.pi)
+        turns = np.rint(turns_apart)
         out[own] += 2.0 * np.pi * turns
     return out

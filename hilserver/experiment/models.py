@@ -125,12 +125,14 @@ def run_models(
 
     said = [finding.explanation for finding in checked.findings]
     lengths = [len(piece.rows) for piece in pieces]
+    t_s = np.concatenate([piece.t_s for piece in pieces])
+    span = np.repeat([piece.span for piece in pieces], lengths)
     return Courses(
         log=log,
         notes=(*log.notices, *said),
         are_measured=any(name in log for name in SPEEDS),
-        t_s=np.concatenate([piece.t_s for piece in pieces]),
-        span=np.repeat([piece.span for piece in pieces], lengths),
+        t_s=t_s,
+        span=span,
         wheels_rpm=wheels[rows],
         kinematic=kinematic[rows],
         mechatronic=mechatronic,
@@ -243,7 +245,8 @@ def follow(
     x, y, yaw, _ = kinematic[piece.rows[0]].tolist()
     place_body(engine.parameters, numbers, x, y, yaw)
 
-    at_s = np.arange(piece.t_s[0], piece.t_s[-1] + body.slice_s, body.slice_s)
+    end_s = piece.t_s[-1] + body.slice_s
+    at_s = np.arange(piece.t_s[0], end_s, body.slice_s)
     asked = np.empty((len(at_s), 4))
     for wheel, sign in enumerate(MIRROR):
         rpm = np.interp(at_s, piece.t_s, wheels_rpm[piece.rows, wheel])

@@ -180,9 +180,8 @@ class Faults:
 
     def expect_room(self, faults: Iterable[Fault] = ()) -> None:
         """ControlRefused while the plant has no room for `reset` with `faults` after it."""
-        if self._mailbox.room < _RESET_ROWS + sum(
-            len(self.check(fault)) for fault in faults
-        ):
+        rows = sum(len(self.check(fault)) for fault in faults)
+        if self._mailbox.room < _RESET_ROWS + rows:
             raise ControlRefused(
                 "the plant has not applied the last faults yet; try again"
             )
@@ -249,13 +248,19 @@ class Faults:
         """Return the table that OPC UA shows below ``faults``."""
         active = self.active()
         forces = [a for a in active if a.fault == FORCE]
+        injected: dict[str, Figure] = {
+            "count": len(active) - len(forces),
+            "names": self.names,
+        }
+        forced: dict[str, Figure] = {"count": len(forces), "names": self.forced}
+        timeout: dict[str, Figure] = {
+            "fired": self._mailbox.timeouts,
+            "holds": self._mailbox.is_silent,
+        }
         return {
-            "injected": {"count": len(active) - len(forces), "names": self.names},
-            "forced": {"count": len(forces), "names": self.forced},
-            "command_timeout": {
-                "fired": self._mailbox.timeouts,
-                "holds": self._mailbox.is_silent,
-            },
+            "injected": injected,
+            "forced": forced,
+            "command_timeout": timeout,
         }
 
     # --- inside -----------------------------------------------------------------------------------
@@ -303,9 +308,8 @@ class Faults:
             return
         removed = {c.number for c in commands if c.operation == lay.OP_REMOVE}
         self.active()
-        kept = {n: note for n, note in self._notes.items() if n not in removed} | dict(
-            notes
-        )
+        remaining = {n: note for n, note in self._notes.items() if n not in removed}
+        kept = remaining | dict(notes)
         _expect_places(kept.values(), "clear the other faults first")
         self._mailbox.send(commands)
         self._leave(removed)

@@ -176,4 +176,5 @@ class Lane(Generic[T]):
         """Time until the next batch arrives [s]."""
         if not self._queue:
             return None
-        return max(0.0, min(item[0] for item in self._queue) - self._line.now_s())
+        first_s = min(item[0] for item in self._queue)
+        return max(0.0, first_s - self._line.now_s())

@@ -147,6 +147,7 @@ class Planner:
         limit = fault.value
         if limit is not None and limit <= 0:
             raise ValueError(f"value is a speed above 0 rpm, not {limit:g}")
+        most_rpm = self._shield.max_rpm if limit is None else limit
         return [
             _entry(
                 Kind.LAST_WHEEL,
@@ -155,7 +156,7 @@ class Planner:
                 side=lay.INPUT,
                 a=self._shield.rpm_per_m_s,
                 b=self._shield.rpm_per_rad_s,
-                c=self._shield.max_rpm if limit is None else limit,
+                c=most_rpm,
             )
         ]
 
@@ -170,11 +171,10 @@ class Planner:
         return [_entry(Kind.UNSIGNED, slot=slot, side=lay.OUTPUT) for slot in slots]
 
     def _raw_units(self, _: Fault) -> list[ModifierEntry]:
-        return [
-            self._scaled("imu.gyro_z_rad_s", DEGREES_PER_RAD),
-            self._scaled("imu.accel_x_m_s2", 1.0 / STANDARD_GRAVITY_M_S2),
-            self._scaled("imu.accel_y_m_s2", 1.0 / STANDARD_GRAVITY_M_S2),
-        ]
+        gyro = self._scaled("imu.gyro_z_rad_s", DEGREES_PER_RAD)
+        ahead = self._scaled("imu.accel_x_m_s2", 1.0 / STANDARD_GRAVITY_M_S2)
+        aside = self._scaled("imu.accel_y_m_s2", 1.0 / STANDARD_GRAVITY_M_S2)
+        return [gyro, ahead, aside]
 
 
 def check_range(signal: Signal, value: float) -> None:

@@ -168,9 +168,8 @@ class ScenarioPlayer:
             self._gate.take("scenario")
             self.drives = True
         self._image.push_timed(rows)
-        self._parameters.schedule(
-            sorted(self._sets(scenario, start_tick), key=itemgetter(0)), start_tick
-        )
+        sets = sorted(self._sets(scenario, start_tick), key=itemgetter(0))
+        self._parameters.schedule(sets, start_tick)
 
     def expect_room_again(self, scenario: Scenario) -> None:
         """ControlRefused if `play` would refuse the scenario after `Faults.reset`."""

@@ -93,15 +93,16 @@ def load_fmu_block(
         except BlockError as error:
             raise BlockError(f"FMU {reference!r} {error}.") from None
     given = {variable.name: value for variable, value in wiring.start}
+    function = exchange.run_beside if process else calls.run_here
+    shown = (*signals(wiring, outputs), *([LATE] if process else []))
+    parameters = {v.name: float(given.get(v.name, v.start)) for v in wiring.parameters}
     declaration = BlockDeclaration(
         name=fmu.identifier,
-        function=exchange.run_beside if process else calls.run_here,
+        function=function,
         inputs=wiring.input_names,
-        outputs=(*signals(wiring, outputs), *([LATE] if process else [])),
+        outputs=shown,
         state={},
-        parameters={
-            v.name: float(given.get(v.name, v.start)) for v in wiring.parameters
-        },
+        parameters=parameters,
         source=fmu.path,
         source_function=calls.run_here,
     )
@@ -173,7 +174,8 @@ class Beside(_Running):
         late = int(a[at.A_LATE]) - hurried
         if status == at.OK != self._status:
             self._is_lost = False  # a state was restored: its process continues from it
-        ended = self._child.look(a, gives_up=status == at.SILENT and not self._is_lost)
+        gives_up = status == at.SILENT and not self._is_lost
+        ended = self._child.look(a, gives_up=gives_up)
         self._is_lost |= ended is not None
         self._status = status
         if ended is None:

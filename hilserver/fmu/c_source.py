@@ -107,9 +107,8 @@ def translate(listing: str, entry: str, name: str) -> str:
     texts = [function.text() for function in made]
     used = dict.fromkeys(name for function in made for name in function.arrays)
     constants = [_words(name, arrays[name]) for name in used]
-    return "\n".join(
-        [HEAD + "".join(f"{function.head};\n" for function in made), *constants, *texts]
-    )
+    declared = "".join(f"{function.head};\n" for function in made)
+    return "\n".join([HEAD + declared, *constants, *texts])
 
 
 def c_number(value: float) -> str:
@@ -230,7 +229,8 @@ class _Function:
             if operation == "fcmp":
                 return "i1", _FLOAT[how].format(v(a), v(b))
             cast = f"({_SIGNED[kind]})" if how[0] == "s" else ""
-            return "i1", f"{cast}{v(a, kind)} {_WHOLE[how[-2:]]} {cast}{v(b, kind)}"
+            sign = _WHOLE[how[-2:]]
+            return "i1", f"{cast}{v(a, kind)} {sign} {cast}{v(b, kind)}"
         if operation in ("fneg", "freeze"):
             kind, a = match(rf"\w+ ({TYPE}) ({VALUE})", rest)
             return kind, f"{'-' if operation == 'fneg' else ''}{v(a, kind)}"
@@ -307,9 +307,8 @@ class _Function:
         if name in ("smax", "smin", "umax", "umin"):
             cast = f"({_SIGNED[kind]})" if name[0] == "s" else ""
             a, b = values
-            return (
-                f"{cast}{a} {'>' if name.endswith('ax') else '<'} {cast}{b} ? {a} : {b}"
-            )
+            comparison = ">" if name.endswith("ax") else "<"
+            return f"{cast}{a} {comparison} {cast}{b} ? {a} : {b}"
         if name == "abs":
             return f"({_SIGNED[kind]}){values[0]} < 0 ? 0 - {values[0]} : {values[0]}"
         raise FailedError(
@@ -354,7 +353,8 @@ class _Function:
             for i, (kind, _, value) in enumerate(taken)
         ]  # fmt: skip
         after = [f"{self._value(phi)} = n{i};" for i, (_, phi, _) in enumerate(taken)]
-        return " ".join(["{", *before, *after, f"goto {self._label(name)}; }}"])
+        words = ["{", *before, *after, f"goto {self._label(name)}; }}"]
+        return " ".join(words)
 
     def _phis_of(
         self, lines: list[str]

@@ -116,9 +116,8 @@ class Fmu:
         """
         found = self.variables.get(name)
         if found is None:
-            hint = meant(
-                name, self.variables, f"known are {', '.join([*self.variables][:12])}"
-            )
+            some = ", ".join([*self.variables][:12])
+            hint = meant(name, self.variables, f"known are {some}")
             raise BlockError(f"{self.path.name} has no variable '{name}'; {hint}")
         return found
 
@@ -171,6 +170,8 @@ def _read(path: Path) -> Fmu:
     identifier = said.coSimulation.modelIdentifier
     member = _library(identifier, version, set(entries))
     folder = _unpacked(path)
+    can = said.coSimulation
+    by_name = {v.name: v for v in _variables(said, version)}
     fmu = Fmu(
         path=path,
         folder=folder,
@@ -178,9 +179,8 @@ def _read(path: Path) -> Fmu:
         identifier=identifier,
         token=said.guid,
         library=folder / member,
-        stores_state=said.coSimulation.canGetAndSetFMUstate
-        and said.coSimulation.canSerializeFMUstate,
-        variables={v.name: v for v in _variables(said, version)},
+        stores_state=can.canGetAndSetFMUstate and can.canSerializeFMUstate,
+        variables=by_name,
         sha256=sha256(path.read_bytes()).hexdigest(),
     )
     weakref.finalize(fmu, shutil.rmtree, folder, ignore_errors=True)

@@ -152,7 +152,8 @@ def _linked(folder: Path, platform: str) -> Path:
     options = ["-std=gnu11", *_OPTIONS, "-fPIC", "-shared", "-w"]
     source = str(folder / "sources" / _MAIN)
     target = ["-o", str(library), *link.split(), "-lm"]
-    _run([COMPILERS[platform][0], *options, source, *target], os.environ)
+    command = [COMPILERS[platform][0], *options, source, *target]
+    _run(command, os.environ)
     return library
 
 
@@ -188,14 +189,14 @@ def _header(
         for part in composition.parts
         if part.slice == name
     ]
-    taken = [
-        _row(s.name, i, s.low, s.high) for i, s in enumerate(variables.inputs(table))
-    ]
+    numbered = enumerate(variables.inputs(table))
+    taken = [_row(s.name, i, s.low, s.high) for i, s in numbered]
     tuned = [
         _row(t.about.name, t.place, t.low, t.high, t.about.nullable, t.about.is_flag)
         for t in tunable
     ]
     why = ", ".join(f'"{REASONS.get(code, "")}"' for code in range(max(REASONS) + 1))
+    initial = _array("U_0", np.array([s.initial for s in variables.inputs(table)]))
     lines = [
         *(f"#define {name} {value}" for name, value in sizes.items()),
         f"#define STEP_S {c_number(base_period_ns * 1e-9)}",
@@ -208,7 +209,7 @@ def _header(
         _array("V_0", _numbers(robot)),
         _array("P_0", composition.parameters.numbers),
         _array("X_0", composition.state.numbers),
-        _array("U_0", np.array([s.initial for s in variables.inputs(table)])),
+        initial,
         _array("HALL", composition.hall.ravel()),
         _soundness(),
     ]
@@ -218,13 +219,14 @@ def _header(
 def _sizes(
     composition: Composition, tunable: Sequence[variables.Tunable]
 ) -> dict[str, int]:
+    n_inputs = len(variables.inputs(composition.table))
     return {
         "N_V": Physical.n_words,
         "N_P": Parameters.n_words,
         "N_X": State.n_words,
         "N_U": Inputs.n_words,
         "N_Y": Outputs.n_words,
-        "N_INPUT": len(variables.inputs(composition.table)),
+        "N_INPUT": n_inputs,
         "N_TUNABLE": len(tunable),
         "CARRY": CARRY,
         "PACK": PACK,
@@ -236,9 +238,8 @@ def _sizes(
 
 def _row(name: str, place: int, low: float, high: float, *kinds: bool) -> str:
     bounds = f"{c_number(float(low))}, {c_number(float(high))}"
-    return (
-        f'{{"{name}", {place}, {bounds}{"".join(f", {int(kind)}" for kind in kinds)}}}'
-    )
+    last = "".join(f", {int(kind)}" for kind in kinds)
+    return f'{{"{name}", {place}, {bounds}{last}}}'
 
 
 def _numbers(robot: RobotParameters) -> NDArray[np.float64]:

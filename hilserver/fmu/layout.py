@@ -101,7 +101,8 @@ STATUS: Final = {
 
 def slow_call(a: NDArray[np.int64], tick: int) -> int:
     """Return the duration [ns] of an FMU's call in a tick, 0 if it was not slow."""
-    calls_made = a[N_HEAD:ROWS].reshape(-1, 2)[: int(a[A_NOTED])]
+    noted = a[N_HEAD:ROWS].reshape(-1, 2)
+    calls_made = noted[: int(a[A_NOTED])]
     found = calls_made[calls_made[:, 0] == tick, 1]
     return int(found.max()) if found.size else 0
 

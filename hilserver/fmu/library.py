@@ -126,9 +126,10 @@ class Instance:
         self.outputs = np.zeros(wiring.n_outputs)  # `y` at time 0
         a = self.addresses
         n_before = int(a[at.A_INPUTS] + a[at.A_PARAMETERS])
-        self._check(
-            calls.access(n_before, int(a[at.A_OUTPUTS]), self.outputs, a, gets=True)
+        answer = calls.access(
+            n_before, int(a[at.A_OUTPUTS]), self.outputs, a, gets=True
         )
+        self._check(answer)
         self.initial = self._state()  # `x` of the kernels at time 0
 
     @property

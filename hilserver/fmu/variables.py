@@ -68,9 +68,10 @@ def tunables(robot: RobotParameters) -> list[Tunable]:
     seed = Parameter(
         "seed", "1", 0, 2.0**53 - 1, 0, nullable=False, meaning="seed of all noise"
     )
+    seed_row = Tunable(seed, _place("seed"), float(robot.seed), seed.low, seed.high)
     return [
         *found,
-        Tunable(seed, _place("seed"), float(robot.seed), seed.low, seed.high),
+        seed_row,
     ]
 
 
@@ -103,9 +104,8 @@ def description(
 ) -> str:
     """Return the modelDescription.xml of FMI 2.0 or 3.0."""
     rows: list[str] = []
-    units = {s.unit for s in (*inputs(table), *outputs(table))} | {
-        t.about.unit for t in tunable
-    }
+    signal_units = {s.unit for s in (*inputs(table), *outputs(table))}
+    units = signal_units | {t.about.unit for t in tunable}
     rows.append(
         _row(version, "time", 0, 'causality="independent" variability="continuous"', "")
     )
@@ -134,7 +134,8 @@ def description(
     head = _HEADS[version].format(
         token=token, version=__version__, step=f"{step_s:.17g}"
     )
-    named = "".join(f"<Unit name={quoteattr(u)}/>" for u in sorted(units - {"1"}))
+    symbols = sorted(units - {"1"})
+    named = "".join(f"<Unit name={quoteattr(u)}/>" for u in symbols)
     first = len(inputs(table)) + 2
     return (
         f"{head}<UnitDefinitions>{named}</UnitDefinitions>\n"

@@ -49,6 +49,18 @@ class Wiring:
         return tuple(name for v in self.inputs for name in v.scalars)
 
 
+def _check_inputs(fmu: Fmu, inputs: Mapping[str, FmuVariable]) -> None:
+    """BlockError if one of these is no input, or only a part of an array is wired."""
+    for name, variable in inputs.items():
+        if variable.causality != "input":
+            raise BlockError(
+                f"'{name}' of {fmu.path.name} is {variable.causality}, not input"
+            )
+        missing = [n for n in variable.scalars if n not in inputs]
+        if missing:
+            raise BlockError(f"input '{missing[0]}' of {fmu.path.name} is not wired")
+
+
 def wire(
     fmu: Fmu,
     inputs: Mapping[str, str],
@@ -70,30 +82,22 @@ def wire(
         Variable: value.
     """
     taken = [_whole(fmu, name) for name in inputs]
-    for name, variable in zip(inputs, taken, strict=True):
-        if variable.causality != "input":
-            raise BlockError(
-                f"'{name}' of {fmu.path.name} is {variable.causality}, not input"
-            )
-        missing = [n for n in variable.scalars if n not in inputs]
-        if missing:
-            raise BlockError(f"input '{missing[0]}' of {fmu.path.name} is not wired")
+    _check_inputs(fmu, dict(zip(inputs, taken, strict=True)))
+    every = fmu.variables.values()
     shown = [_whole(fmu, name) for name in outputs]
     if not outputs:
-        shown = [
-            v
-            for v in fmu.variables.values()
-            if v.causality == "output" and v.kind != _TEXT
-        ]
-    tunable = [v for v in fmu.variables.values() if _is_tunable(v)]
+        shown = [v for v in every if v.causality == "output" and v.kind != _TEXT]
+    tunable = [v for v in every if _is_tunable(v)]
     # those that the user has set come first
     tunable.sort(key=lambda v: v.name not in start)
+    by_type = sorted(tunable[:MOST_PER_BLOCK], key=lambda v: v.type)
+    started = [(_startable(fmu, name, value), value) for name, value in start.items()]
     wiring = Wiring(
         inputs=list(dict.fromkeys(taken)),
         # Those of one type are set in one call: values that only fit together must not be split.
-        parameters=sorted(tunable[:MOST_PER_BLOCK], key=lambda v: v.type),
+        parameters=by_type,
         outputs=list(dict.fromkeys(shown)),
-        start=[(_startable(fmu, name, value), value) for name, value in start.items()],
+        start=started,
         left_out=max(0, len(tunable) - MOST_PER_BLOCK),
     )
     if not wiring.n_outputs:

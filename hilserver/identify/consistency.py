@@ -55,12 +55,15 @@ def _front_is_rear(log: MeasuredLog, side: str) -> Check:
     x = log[front].values
     y = per_span(log, front, lambda span, t_s: at(log[rear], span, t_s))
     good = np.isfinite(y)
-    moving = good & (np.abs(x) > 0.1 * np.max(np.abs(x), initial=0.0))
+    least = 0.1 * np.max(np.abs(x), initial=0.0)
+    moving = good & (np.abs(x) > least)
     if moving.sum() < _SAMPLES_MIN:
         return Check(name, None, "the wheels hardly turn")
     block = blocks_of(log[front].t_s, log[front].span)
-    ratio = regress(x[moving, None], y[moving], block[moving]).estimate(0)
-    apart = float(np.sqrt(np.mean(np.square(y[moving] - x[moving]))))
+    fit = regress(x[moving, None], y[moving], block[moving])
+    ratio = fit.estimate(0)
+    difference = y[moving] - x[moving]
+    apart = float(np.sqrt(np.mean(np.square(difference))))
     passed = ratio.holds(1.0) or abs(ratio.value - 1.0) <= LEAST_DEVIATION
     text = f"rear / front = {ratio.value:.4f}, {apart:.2g} rpm rms apart"
     return Check(name, bool(passed), text, ratio)

@@ -85,17 +85,20 @@ def _of_wheel(log: MeasuredLog, wheel: str, resting_rpm: float) -> DeadZone | No
         return None
     lower = (float(below.max()), low)
     upper = (high, float(above.min()))
+    lower_edge = Estimate(sum(lower) / 2.0, lower, "%")
+    upper_edge = Estimate(sum(upper) / 2.0, upper, "%")
     return DeadZone(
         wheel,
-        Estimate(sum(lower) / 2.0, lower, "%"),
-        Estimate(sum(upper) / 2.0, upper, "%"),
+        lower_edge,
+        upper_edge,
         int(held.sum()),
     )
 
 
 def _keys(channel: Channel) -> NDArray[np.void]:
     """Return stamp and span of every sample as one comparable value."""
-    keys = np.zeros(len(channel), dtype=[("span", np.int64), ("t_s", np.float64)])
+    columns = [("span", np.int64), ("t_s", np.float64)]
+    keys = np.zeros(len(channel), dtype=columns)
     keys["span"] = channel.span
     keys["t_s"] = channel.t_s
     return keys

@@ -42,7 +42,8 @@ class Regression:
         value = float(self.values[index])
         if self.covariance is None:
             return Estimate(value, None, unit)
-        half = self.quantile * math.sqrt(max(float(self.covariance[index, index]), 0.0))
+        variance = max(float(self.covariance[index, index]), 0.0)
+        half = self.quantile * math.sqrt(variance)
         return Estimate(value, (value - half, value + half), unit)
 
     @property
@@ -72,14 +73,17 @@ def regress(columns: Array, target: Array, block: Indices) -> Regression:
     table = np.column_stack([columns, target])
     for j in range(k):
         for i in range(k + 1):
-            products[:, j, i] = np.bincount(row, columns[:, j] * table[:, i], count)
+            product = columns[:, j] * table[:, i]
+            products[:, j, i] = np.bincount(row, product, count)
     total = products.sum(axis=0)
     values = _solve(total)
     if count < max(BLOCKS_MIN, k + 1):
         return Regression(values, None, count)
-    without = np.array([_solve(total - products[b]) for b in range(count)])
+    solved = [_solve(total - products[b]) for b in range(count)]
+    without = np.array(solved)
     apart = without - without.mean(axis=0)
-    return Regression(values, (count - 1) / count * apart.T @ apart, count)
+    share = (count - 1) / count
+    return Regression(values, share * apart.T @ apart, count)
 
 
 def blocks_of(t_s: Array, span: Indices, block_s: float = LONGEST_BLOCK_S) -> Indices:
@@ -100,7 +104,8 @@ def blocks_of(t_s: Array, span: Indices, block_s: float = LONGEST_BLOCK_S) -> In
         own = t_s[first:end] - t_s[first]
         count = max(1, round(float(own[-1]) / length))
         edges = own[-1] / count if own[-1] > 0.0 else 1.0
-        block[first:end] = begun + np.minimum((own / edges).astype(np.int64), count - 1)
+        nearest = np.minimum((own / edges).astype(np.int64), count - 1)
+        block[first:end] = begun + nearest
         begun += count
     return block
 

@@ -74,7 +74,8 @@ def _resting(
         turning = np.abs(speed) > RESTING_RPM
         last_s = np.maximum.accumulate(np.where(turning, own_s, -np.inf))
         index = np.searchsorted(own_s, t_s, side="right") - 1
-        still &= (index >= 0) & (t_s - last_s[np.maximum(index, 0)] >= RESTED_S)
+        rested_s = t_s - last_s[np.maximum(index, 0)]
+        still &= (index >= 0) & (rested_s >= RESTED_S)
         if f"wheel.{wheel}.setpoint_rpm" in log:
             aim = at(log[f"wheel.{wheel}.setpoint_rpm"], span, t_s, hold=True)
             still &= ~(np.abs(aim) > 0.0)

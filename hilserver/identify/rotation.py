@@ -66,9 +66,8 @@ class _Samples:
                 if len(t_s) < 2:
                     continue
                 count = max(1, int((t_s[-1] - t_s[0]) / _YAW_STEP_S))
-                picked = np.unique(
-                    np.searchsorted(t_s, np.linspace(t_s[0], t_s[-1], count + 1))
-                )
+                ends_s = np.linspace(t_s[0], t_s[-1], count + 1)
+                picked = np.unique(np.searchsorted(t_s, ends_s))
                 picked = picked[picked < len(t_s)]
                 turned = np.unwrap(yaw)[picked]
                 starts = t_s[picked][:-1]
@@ -133,7 +132,8 @@ class _Samples:
         speed = speed[np.isfinite(speed)]
         if len(grid) < 2:
             return np.full(len(t_s), np.nan)
-        steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(grid)
+        both = speed[1:] + speed[:-1]
+        steps = 0.5 * both * np.diff(grid)
         angle = np.concatenate(([0.0], np.cumsum(steps)))
         ends = [
             np.interp(at_s, grid, angle, np.nan, np.nan)
@@ -163,18 +163,44 @@ class _Samples:
                 if own.stop == own.start:
                     good[rows] = False
                     continue
-                left_s = np.maximum.accumulate(
-                    np.where(away[own], speed.t_s[own], -np.inf)
-                )
+                last_s = np.where(away[own], speed.t_s[own], -np.inf)
+                left_s = np.maximum.accumulate(last_s)
                 left_s = np.maximum(left_s, speed.t_s[own][0])
                 index = (
                     np.searchsorted(speed.t_s[own], self.t_s[rows], side="right") - 1
                 )
-                since_s = (
-                    self.t_s[rows] - self._before_s[rows] - left_s[np.maximum(index, 0)]
-                )
+                before_s = self.t_s[rows] - self._before_s[rows]
+                since_s = before_s - left_s[np.maximum(index, 0)]
                 good[rows] &= (index >= 0) & (since_s >= settle_s)
         return good
+
+
+def _yaw_rate_of(log: MeasuredLog) -> str:
+    """Return the yaw rate to use; LogError without one, or without a speed on both sides."""
+    channel = next((name for name in YAW_RATES if name in log), None)
+    if channel is None:
+        raise LogError(f"{files(log)}: K_om needs one of {', '.join(YAW_RATES)}")
+    for side in SIDES:
+        if not present(log, "speed_rpm", side):
+            need(log, f"wheel.{side[0]}.speed_rpm")
+    return channel
+
+
+def _doubts(
+    channel: str, gain: Estimate, offset: Estimate, gain_without_offset: float
+) -> list[str]:
+    """Return what an offset of the yaw rate or a wrong sign does to K_om."""
+    found = []
+    if not offset.holds(0.0) and abs(gain_without_offset / gain.value - 1.0) > 0.01:
+        found.append(
+            f"{channel} has an offset of {offset.value:.4f} rad/s; without it K_om is "
+            f"{gain_without_offset:.4g} 1/m: turn equally long in both directions"
+        )
+    if gain.ci95 is not None and gain.ci95[1] < 0.0:
+        found.append(
+            "K_om is negative: the yaw or the wheels of both sides have the wrong sign"
+        )
+    return found
 
 
 def identify_rotation(
@@ -195,26 +221,18 @@ def identify_rotation(
     settle_s : float
         ... once it has been for this long, because a late sensor still shows the change.
     """
-    channel = next((name for name in YAW_RATES if name in log), None)
-    if channel is None:
-        raise LogError(f"{files(log)}: K_om needs one of {', '.join(YAW_RATES)}")
-    for side in SIDES:
-        if not present(log, "speed_rpm", side):
-            need(log, f"wheel.{side[0]}.speed_rpm")
+    channel = _yaw_rate_of(log)
     data = _Samples(log, robot, channel)
     u = data.u()
     good = np.isfinite(u)
-    if (
-        good.sum() < _SAMPLES_MIN
-        or np.sqrt(np.mean(u[good] ** 2)) * 2.0 < _TURNING_RAD_S
-    ):
+    turning = 2.0 * np.sqrt(np.mean(u[good] ** 2)) if good.any() else 0.0
+    if good.sum() < _SAMPLES_MIN or turning < _TURNING_RAD_S:
         raise LogError(
             f"{files(log)}: the robot hardly turns; K_om needs a drive with turns on the spot"
         )
     unsteady = regress(u[good, None], data.y[good], data.block[good])
-    free = regress(
-        np.stack([u[good], np.ones(good.sum())], 1), data.y[good], data.block[good]
-    )
+    columns = np.stack([u[good], np.ones(good.sum())], 1)
+    free = regress(columns, data.y[good], data.block[good])
     flags: list[str] = []
     steady, share = _steady(data, u, good, zone_rpm, settle_s, flags)
     lag, without_lag = _lag(data) if log.has_stamps else (None, None)
@@ -222,15 +240,7 @@ def identify_rotation(
     offset = free.estimate(1, "rad/s")
     if lag is not None and without_lag is not None:
         _flag_lag(lag, value, without_lag, flags)
-    if not offset.holds(0.0) and abs(free.values[0] / unsteady.values[0] - 1.0) > 0.01:
-        flags.append(
-            f"{channel} has an offset of {offset.value:.4f} rad/s; without it K_om is "
-            f"{free.values[0]:.4g} 1/m: turn equally long in both directions"
-        )
-    if value.ci95 is not None and value.ci95[1] < 0.0:
-        flags.append(
-            "K_om is negative: the yaw or the wheels of both sides have the wrong sign"
-        )
+    flags += _doubts(channel, value, offset, float(free.values[0]))
     return RotationGain(
         channel,
         zone_rpm,
@@ -278,20 +288,25 @@ def _lag(data: _Samples) -> tuple[Estimate | None, Estimate | None]:
     def misfit(lag_s: float) -> float:
         u = data.u(lag_s)
         good = np.isfinite(u)
-        gain = float(u[good] @ data.y[good] / (u[good] @ u[good]))
-        return float(np.mean(np.square(data.y[good] - gain * u[good])))
+        product = u[good] @ data.y[good]
+        gain = float(product / (u[good] @ u[good]))
+        left = data.y[good] - gain * u[good]
+        return float(np.mean(np.square(left)))
 
     robust_s = data.lag_s()
     if robust_s is None:
         grid = np.arange(-LARGEST_S, LARGEST_S + 1e-9, _LAG_STEP_S)
-        robust_s = float(grid[int(np.argmin([misfit(lag_s) for lag_s in grid]))])
+        misfits = [misfit(lag_s) for lag_s in grid]
+        robust_s = float(grid[int(np.argmin(misfits))])
     best = robust_s
     near = (best - _LAG_STEP_S, best + _LAG_STEP_S)
     best = float(minimize_scalar(misfit, bounds=near, method="bounded").x)
     u, later, sooner = data.u(best), data.u(best + _SLOPE_S), data.u(best - _SLOPE_S)
     slope = (later - sooner) / (2.0 * _SLOPE_S)
     good = np.isfinite(u) & np.isfinite(slope)
-    if np.mean(slope[good] ** 2) < (0.02 * math.sqrt(np.mean(u[good] ** 2))) ** 2:
+    power = np.mean(u[good] ** 2)
+    least = 0.02 * math.sqrt(power)
+    if np.mean(slope[good] ** 2) < least**2:
         return None, None
     gain = float(u[good] @ data.y[good] / (u[good] @ u[good]))
     table = np.stack([u[good], gain * slope[good]], axis=1)

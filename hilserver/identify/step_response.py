@@ -87,7 +87,8 @@ def averaged(steps: list[InputStep]) -> tuple[Array, Array]:
 
     Each response starts from its own mean before the step; the grid ends at their median length.
     """
-    grid_s = float(np.median([np.median(np.diff(step.t_s)) for step in steps]))
+    steps_s = [np.median(np.diff(step.t_s)) for step in steps]
+    grid_s = float(np.median(steps_s))
     length_s = float(np.median([step.t_s[-1] for step in steps]))
     t_s = np.arange(0.0, length_s, grid_s)
     total = np.zeros(len(t_s))
@@ -143,8 +144,10 @@ def identify_steps(log: MeasuredLog, source: str | None = None) -> StepResponse:
     steps = [step for own in by_wheel.values() for step in own]
     flags = _flags(log, quantity, by_wheel)
     t_s, mean = averaged(steps)
-    final = float(np.median(mean[-max(3, len(mean) // 4) :]))
-    if not abs(final) > _ANSWER_MIN * float(np.max(np.abs(mean))) or not mean.any():
+    tail = mean[-max(3, len(mean) // 4) :]
+    final = float(np.median(tail))
+    least = _ANSWER_MIN * float(np.max(np.abs(mean)))
+    if not abs(final) > least or not mean.any():
         raise LogError(f"{files(log)}: the wheels do not follow {quantity}")
     tangent = find_tangent(t_s, mean / final)
     pair = two_constants(t_s, mean / final)
@@ -155,9 +158,10 @@ def identify_steps(log: MeasuredLog, source: str | None = None) -> StepResponse:
     fits = _Fits(steps, "rpm/%" if quantity == "duty_pct" else "1", final)
     order, chain = fits.chain(sum(pair))
     two = fits.pair(pair)
+    wheels = tuple(wheel for wheel, own in by_wheel.items() if own)
     return StepResponse(
         quantity,
-        tuple(wheel for wheel, own in by_wheel.items() if own),
+        wheels,
         len(steps),
         tangent,
         read_tangent(tangent),
@@ -240,7 +244,8 @@ class _Fits:
     def pair(self, start_s: tuple[float, float]) -> _Fit:
         """Fit two time constants, the larger first."""
         smallest = 1e-4 * start_s[0]
-        start = [math.log(start_s[0]), math.log(max(start_s[1], 20.0 * smallest))]
+        second = math.log(max(start_s[1], 20.0 * smallest))
+        start = [math.log(start_s[0]), second]
         fit = self._fit(
             lambda t_s, log_t: np.asarray(two_lags(t_s, *np.exp(log_t))), start
         )
@@ -252,13 +257,12 @@ class _Fits:
         """Fit the logarithms of the time constants, and the gain."""
 
         def left(theta: Array) -> Array:
-            return self._centred(
-                self._speed - theta[-1] * self._answer(response, theta[:-1])
-            )
+            modelled = theta[-1] * self._answer(response, theta[:-1])
+            return self._centred(self._speed - modelled)
 
-        found = least_squares(
-            left, [*start, self._gain], x_scale=[*([0.1] * len(start)), 1.0]
-        )
+        first = [*start, self._gain]
+        scales = [*([0.1] * len(start)), 1.0]
+        found = least_squares(left, first, x_scale=scales)
         theta = found.x
         rest = found.fun
         spread = regress(-found.jac, rest, self._blocks)
@@ -277,7 +281,8 @@ class _Fits:
         return _Fit(estimates, Estimate(gain, interval, self._unit), rms)
 
     def _answer(self, response: Response, log_t: Array) -> Array:
-        return self._size * np.where(self._t_s >= 0.0, response(self._t_s, log_t), 0.0)
+        answer = np.where(self._t_s >= 0.0, response(self._t_s, log_t), 0.0)
+        return self._size * answer
 
     def _centred(self, values: Array) -> Array:
         """Subtract the mean of each step, because its starting speed is free."""

@@ -41,7 +41,8 @@ class Chain:
 def tangent_of_chain(order: int) -> Tangent:
     """Return the tangent of ``1/(s + 1)^order``, times in units of T."""
     at = float(order - 1)
-    slope = at ** (order - 1) * math.exp(-at) / math.factorial(order - 1)
+    power = at ** (order - 1) * math.exp(-at)
+    slope = power / math.factorial(order - 1)
     value = float(gammainc(order, at)) if order > 1 else 0.0
     return Tangent(at - value / slope, 1.0 / slope)
 
@@ -65,13 +66,15 @@ def find_tangent(t_s: Array, response: Array) -> Tangent:
     """
     third = first_reach(t_s, response, 0.3)
     most = first_reach(t_s, response, 0.7)
-    width = max(0.5 * (most - third), 2.51 * float(np.median(np.diff(t_s))))
+    grain_s = 2.51 * float(np.median(np.diff(t_s)))
+    width = max(0.5 * (most - third), grain_s)
     best = (0.0, 0.0, 0.0)
     for centre in t_s[(t_s >= 0.0) & (t_s <= most)]:
         near = np.abs(t_s - centre) <= width
         if near.sum() < 5:
             continue
-        *_, slope, level = np.polyfit((t_s[near] - centre) / width, response[near], 3)
+        scaled = (t_s[near] - centre) / width
+        *_, slope, level = np.polyfit(scaled, response[near], 3)
         slope /= width
         if slope > best[0]:
             best = (float(slope), float(centre), float(level))
@@ -89,8 +92,10 @@ def first_reach(t_s: Array, response: Array, share: float) -> float:
     i = int(above[0])
     if i == 0 or response[i] == response[i - 1]:
         return float(t_s[i])
-    part = (share - response[i - 1]) / (response[i] - response[i - 1])
-    return float(t_s[i - 1] + part * (t_s[i] - t_s[i - 1]))
+    rise = response[i] - response[i - 1]
+    part = (share - response[i - 1]) / rise
+    step_s = t_s[i] - t_s[i - 1]
+    return float(t_s[i - 1] + part * step_s)
 
 
 def two_constants(t_s: Array, response: Array) -> tuple[float, float]:

@@ -90,9 +90,10 @@ def identify_update_rate(log: MeasuredLog) -> UpdateRate:
     error = max(float(apart.std(ddof=1)) / math.sqrt(count), rounded)
     half = float(stats.t.ppf(0.975, len(apart) - 1)) * error
     period = float(apart.mean())
+    estimate = Estimate(period, (max(period - half, 0.0), period + half), "s")
     return UpdateRate(
         files(log),
-        Estimate(period, (max(period - half, 0.0), period + half), "s"),
+        estimate,
         row_s,
         len(apart) + 1,
         tuple(rises),
@@ -112,7 +113,8 @@ def compare(rates: Sequence[UpdateRate], level: float = 0.05) -> list[RateCompar
         of_fast = variances[0] ** 2 / (fast.changes - 2)
         of_slow = variances[1] ** 2 / (slow.changes - 2)
         freedom = sum(variances) ** 2 / (of_fast + of_slow)
-        score = (slow.period_s.value - fast.period_s.value) / math.sqrt(sum(variances))
+        apart_s = slow.period_s.value - fast.period_s.value
+        score = apart_s / math.sqrt(sum(variances))
         p_value = 2.0 * float(stats.t.sf(score, freedom))
         clear = p_value * (len(ordered) - 1) < level
         found.append(RateComparison(fast.file, slow.file, p_value, clear))
@@ -136,8 +138,10 @@ def _of_wheel(log: MeasuredLog, wheel: str) -> tuple[WheelRise, Array, float]:
     span = int(setpoint.span[aims[0]])
     start_s = float(setpoint.t_s[aims[0]])
     t_s, values = speed.of(span)
-    others = (setpoint.span == span) & (setpoint.values != setpoint.values[aims[0]])
-    end_s = float(setpoint.t_s[others & (setpoint.t_s > start_s)].min(initial=np.inf))
+    is_other_value = setpoint.values != setpoint.values[aims[0]]
+    others = (setpoint.span == span) & is_other_value
+    later = others & (setpoint.t_s > start_s)
+    end_s = float(setpoint.t_s[later].min(initial=np.inf))
     step = (t_s >= start_s) & (t_s < end_s)
     t_s = t_s[step]
     values = values[step]
@@ -148,7 +152,9 @@ def _of_wheel(log: MeasuredLog, wheel: str) -> tuple[WheelRise, Array, float]:
         )
     settled = values[len(values) // 2 :]
     final = float(np.median(settled))
-    spread = 1.96 * float(np.std(settled)) / math.sqrt(max(len(settled) / 10.0, 1.0))
+    spread_of_all = 1.96 * float(np.std(settled))
+    independent = max(len(settled) / 10.0, 1.0)
+    spread = spread_of_all / math.sqrt(independent)
     way = math.copysign(1.0, final)
     moments = [
         _first(t_s, way * values, RISE * abs(final) + extra)
@@ -160,9 +166,10 @@ def _of_wheel(log: MeasuredLog, wheel: str) -> tuple[WheelRise, Array, float]:
     at_s, command = duty.of(span)
     changed = np.flatnonzero(np.diff(command) != 0.0) + 1
     changed_s = at_s[changed]
+    while_rising = changed_s[(changed_s >= start_s) & (changed_s <= moments[0])]
     return (
         WheelRise(wheel, rise),
-        changed_s[(changed_s >= start_s) & (changed_s <= moments[0])],
+        while_rising,
         row_s,
     )
 

@@ -42,7 +42,8 @@ def at(channel: Channel, span: int, t_s: Array, *, hold: bool = False) -> Array:
         return np.full(len(t_s), np.nan)
     if hold:
         index = np.searchsorted(own_t, t_s, side="right") - 1
-        return np.where(index >= 0, values[np.maximum(index, 0)], np.nan)
+        before = values[np.maximum(index, 0)]
+        return np.where(index >= 0, before, np.nan)
     return np.interp(t_s, own_t, values, left=np.nan, right=np.nan)
 
 
@@ -60,7 +61,6 @@ def side_sum_rpm(log: MeasuredLog, span: int, t_s: Array) -> Array:
     total = np.zeros(len(t_s))
     for side in SIDES:
         wheels = present(log, "speed_rpm", side)
-        total += np.mean(
-            [at(log[f"wheel.{w}.speed_rpm"], span, t_s) for w in wheels], axis=0
-        )
+        speeds_rpm = [at(log[f"wheel.{w}.speed_rpm"], span, t_s) for w in wheels]
+        total += np.mean(speeds_rpm, axis=0)
     return total

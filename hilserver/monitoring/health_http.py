@@ -105,9 +105,10 @@ class Response:
 
     def encode(self, *, is_head: bool = False) -> bytes:
         """Return the bytes to send; a HEAD request gets only the head."""
+        length = ("Content-Length", str(len(self.body)))
         fields = (
             ("Content-Type", self.content_type),
-            ("Content-Length", str(len(self.body))),
+            length,
             ("Cache-Control", "no-store"),
             ("X-Content-Type-Options", "nosniff"),
             ("Connection", "close"),

@@ -70,10 +70,12 @@ def parse_request(
         raise RefusedRequestError(
             HTTPStatus.METHOD_NOT_ALLOWED, "only GET and HEAD are answered"
         )
+    path = target.split(b"?", 1)[0].decode("ascii")
+    accepted = ", ".join(headers.get("accept", []))
     return HealthRequest(
-        path=target.split(b"?", 1)[0].decode("ascii"),
+        path=path,
         is_head=method == b"HEAD",
-        accept=", ".join(headers.get("accept", [])),
+        accept=accepted,
     )
 
 

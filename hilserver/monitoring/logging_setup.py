@@ -130,19 +130,22 @@ def setup_logging(
     is_console = is_readable(line_format, out)
     limiter = RepeatLimiter(repeat_window_s, clock_s)
     number = logging.getLevelNamesMapping()[level]
+    processors = [
+        _add_logger_name,
+        structlog.processors.add_log_level,
+        _in_a_sentence,
+        _printable,
+        limiter,
+        *_rendering(is_console, colors=out.isatty()),
+    ]
+
+    def factory(*names: Any) -> _StreamLogger:
+        return _StreamLogger(out, str(names[0]) if names else "")
+
     structlog.configure(
-        processors=[
-            _add_logger_name,
-            structlog.processors.add_log_level,
-            _in_a_sentence,
-            _printable,
-            limiter,
-            *_rendering(is_console, colors=out.isatty()),
-        ],
+        processors=processors,
         wrapper_class=structlog.make_filtering_bound_logger(number),
-        logger_factory=lambda *names: _StreamLogger(
-            out, str(names[0]) if names else ""
-        ),
+        logger_factory=factory,
         cache_logger_on_first_use=False,
     )
     logging.basicConfig(handlers=[_ToStructlog()], level=number, force=True)
@@ -162,10 +165,11 @@ def _rendering(is_console: bool, *, colors: bool) -> list[Any]:
         json = structlog.processors.JSONRenderer()
         return [stamp, structlog.processors.format_exc_info, json]
     plain = structlog.dev.plain_traceback
+    console = structlog.dev.ConsoleRenderer(colors=colors, exception_formatter=plain)
     return [
         _drop_what_is_for_programs,
         structlog.processors.TimeStamper(fmt="%H:%M:%S", utc=False),
-        structlog.dev.ConsoleRenderer(colors=colors, exception_formatter=plain),
+        console,
     ]
 
 

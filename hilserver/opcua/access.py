@@ -83,9 +83,8 @@ class Access:
         """
         keys = keys_of(name, address)
         now_s = time.monotonic()
-        if any(self._attempts.is_blocked(key, now_s) for key in keys) or (
-            self._waiting >= _MAX_WAITING
-        ):
+        is_blocked = any(self._attempts.is_blocked(key, now_s) for key in keys)
+        if is_blocked or (self._waiting >= _MAX_WAITING):
             log.warning(
                 "opcua log-in refused: too many failures",
                 user=name[:64],

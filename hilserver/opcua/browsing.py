@@ -119,11 +119,12 @@ class ContinuationPoints:
             if number % _GIVE_WAY_EVERY == _GIVE_WAY_EVERY - 1:
                 yield
             direction = asked.BrowseDirection
+            is_in_direction = (
+                direction == ua.BrowseDirection.Both
+                or reference.IsForward != bool(direction)
+            )
             is_wanted = (
-                (
-                    direction == ua.BrowseDirection.Both
-                    or reference.IsForward != bool(direction)
-                )
+                (is_in_direction)
                 and (
                     not asked.NodeClassMask
                     or bool(asked.NodeClassMask & reference.NodeClass)

@@ -22,6 +22,25 @@ def make_key(bits: int = KEY_BITS) -> rsa.RSAPrivateKey:
     return rsa.generate_private_key(public_exponent=65537, key_size=bits)
 
 
+def _extensions(
+    names: list[x509.GeneralName],
+    usage: x509.KeyUsage,
+    public: rsa.RSAPublicKey,
+    signer: rsa.RSAPrivateKey,
+) -> list[tuple[x509.ExtensionType, bool]]:
+    """Return the extensions of a certificate, and whether each is critical."""
+    uses = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
+    of_signer = signer.public_key()
+    return [
+        (x509.SubjectAlternativeName(names), False),
+        (x509.BasicConstraints(ca=False, path_length=None), True),
+        (usage, True),
+        (x509.ExtendedKeyUsage(uses), False),
+        (x509.SubjectKeyIdentifier.from_public_key(public), False),
+        (x509.AuthorityKeyIdentifier.from_issuer_public_key(of_signer), False),
+    ]
+
+
 def make_certificate(
     key: rsa.RSAPrivateKey,
     application_uri: str,
@@ -44,38 +63,27 @@ def make_certificate(
         Validity from `not_before` on, which is now by default.
     """
     begin = not_before or datetime.now(UTC) - timedelta(minutes=5)
-    subject = x509.Name(
-        [
-            x509.NameAttribute(NameOID.COMMON_NAME, common_name[:64]),
-            x509.NameAttribute(NameOID.ORGANIZATION_NAME, "hilserver"),
-        ]
-    )
+    common = x509.NameAttribute(NameOID.COMMON_NAME, common_name[:64])
+    organization = x509.NameAttribute(NameOID.ORGANIZATION_NAME, "hilserver")
+    subject = x509.Name([common, organization])
+    issued_by = subject if issuer is None else issuer[0].subject
     public = key.public_key()
     signer = key if issuer is None else issuer[1]
     names = [
         x509.UniformResourceIdentifier(application_uri),
         *map(_general_name, hosts),
     ]
-    uses = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
-    of_signer = signer.public_key()
-    extensions: list[tuple[x509.ExtensionType, bool]] = [  # and whether it is critical
-        (x509.SubjectAlternativeName(names), False),
-        (x509.BasicConstraints(ca=False, path_length=None), True),
-        (_key_usage(issuer is None), True),
-        (x509.ExtendedKeyUsage(uses), False),
-        (x509.SubjectKeyIdentifier.from_public_key(public), False),
-        (x509.AuthorityKeyIdentifier.from_issuer_public_key(of_signer), False),
-    ]
+    usage = _key_usage(issuer is None)
     builder = (
         x509.CertificateBuilder()
         .subject_name(subject)
-        .issuer_name(subject if issuer is None else issuer[0].subject)
+        .issuer_name(issued_by)
         .public_key(public)
         .serial_number(x509.random_serial_number())
         .not_valid_before(begin)
         .not_valid_after(begin + timedelta(days=days))
     )
-    for extension, is_critical in extensions:
+    for extension, is_critical in _extensions(names, usage, public, signer):
         builder = builder.add_extension(extension, is_critical)
     return builder.sign(signer, hashes.SHA256())
 

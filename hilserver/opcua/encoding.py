@@ -222,7 +222,8 @@ def request_head(body: Buffer, token: bytes) -> RequestHead | None:
     """
     start = body.cur_pos
     end = start + len(token)
-    if len(body) < len(token) + _REQUEST.size or body._data[start:end] != token:
+    is_too_short = len(body) < len(token) + _REQUEST.size
+    if is_too_short or body._data[start:end] != token:
         return None
     sent, handle, diagnostics, audit_id, timeout_ms, more = _REQUEST.unpack_from(
         body._data, end

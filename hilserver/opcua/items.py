@@ -87,9 +87,10 @@ class ValueItem(_Item):
             # A lost value is marked next to the gap.
             end = 0 if self.discard_oldest else -1
             marked = queue[end]
+            code = ua.StatusCode(marked.code | _OVERFLOW)
             queue[end] = FixedDataValue(
                 marked.Value,
-                ua.StatusCode(marked.code | _OVERFLOW),
+                code,
                 marked.SourceTimestamp,
                 marked.ServerTimestamp,
             )

@@ -59,7 +59,8 @@ class SessionPlaces:
         others = (s for s in sessions if s.is_activated and s is not newcomer)
         own = [s for s in others if not s.visitor.has_own_place]
         if user.name is not None:
-            self._limit([s for s in own if s.user.name == user.name], self._share)
+            of_user = [s for s in own if s.user.name == user.name]
+            self._limit(of_user, self._share)
         if not self._has_reserve(user):
             watchers = [s for s in own if not self._has_reserve(s.user)]
             self._limit(watchers, self._most - self._reserve)

@@ -19,7 +19,7 @@ import ipaddress
 import os
 import re
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import StrEnum
@@ -163,6 +163,17 @@ class TrustList:
         except OSError as error:
             raise FailedError(f"{error.filename}: {error.strerror}") from None
 
+    def _known(
+        self, use: x509.ObjectIdentifier, only: x509.Certificate | None
+    ) -> Mapping[str, x509.Certificate]:
+        """Return the certificates by which a peer is trusted: its own, or an authority's."""
+        known = self._trusted.refresh().certificates
+        if only is not None:
+            known = {thumbprint(only): only}
+        if self.ours is not None and use == ExtendedKeyUsageOID.CLIENT_AUTH:
+            known = {**known, thumbprint(self.ours): self.ours}
+        return known
+
     def judge(
         self,
         data: bytes,
@@ -189,14 +200,11 @@ class TrustList:
         except (ValueError, TypeError):
             return CertificateVerdict.INVALID
         now = now or datetime.now(UTC)
-        trusted = self._trusted.refresh()
+        known = self._known(use, only)
         revoked = self._revoked.refresh()
         own = thumbprint(certificate)
         if own in revoked.certificates:
             return CertificateVerdict.REVOKED
-        known = trusted.certificates if only is None else {thumbprint(only): only}
-        if self.ours is not None and use == ExtendedKeyUsageOID.CLIENT_AUTH:
-            known = {**known, thumbprint(self.ours): self.ours}
         issuer = None
         if own not in known:
             issuer = _issuer_of(certificate, known.values())

@@ -99,10 +99,8 @@ class _Compiler:
     def _operand(self, operand: Any, index: int, depth: int) -> Evaluate:
         if isinstance(operand, ua.ElementOperand):
             # Only forwards, and each once: no circles, no element evaluated twice.
-            if (
-                not index < operand.Index < len(self._elements)
-                or operand.Index in self._named
-            ):
+            is_out_of_place = not index < operand.Index < len(self._elements)
+            if is_out_of_place or operand.Index in self._named:
                 raise ServiceError(_Codes.BadEventFilterInvalid)
             self._named.add(operand.Index)
             return self.element(operand.Index, depth + 1)

@@ -107,11 +107,13 @@ class Parameter:
 def _of_field(section: str, item: "Field[object]") -> Parameter:
     about = item.metadata
     bounds = item.metadata["bounds"]
+    low = bounds.get("ge", bounds.get("gt", -WIDEST))
+    high = bounds.get("le", bounds.get("lt", WIDEST))
     return Parameter(
         name=f"{section}.{item.name}",
         unit=about["unit"] or unit_of(item.name),
-        low=bounds.get("ge", bounds.get("gt", -WIDEST)),
-        high=bounds.get("le", bounds.get("lt", WIDEST)),
+        low=low,
+        high=high,
         default=float(item.default),  # type: ignore[arg-type]
         nullable="None" in str(item.type),
         meaning=about["meaning"],
@@ -121,12 +123,13 @@ def _of_field(section: str, item: "Field[object]") -> Parameter:
 
 
 def _of_term(term: Term) -> Parameter:
+    default = nan if term.null is None else term.null
     return Parameter(
         name=f"{TERM}{term.name}",
         unit=term.unit,
         low=term.low,
         high=term.high,
-        default=nan if term.null is None else term.null,
+        default=default,
         nullable=term.null is None,
         meaning=term.description,
         jumps=term.jumps,

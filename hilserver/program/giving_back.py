@@ -25,8 +25,9 @@ def give_back_code() -> None:
         Path("/proc/self/smaps").read_text(encoding="utf-8")
     ):
         first = int(begin, 16)
+        length = ctypes.c_size_t(int(end, 16) - first)
         madvise(
             ctypes.c_void_p(first),
-            ctypes.c_size_t(int(end, 16) - first),
+            length,
             _MADV_DONTNEED,
         )

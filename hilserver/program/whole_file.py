@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from hilserver.errors import FailedError, reason
-from hilserver.small_file import sync_folder
+from hilserver.small_file import sync_folder as sync_folder  # noqa: PLC0414 - for all who write files
 
 PARTIAL = ".part"
 _OPEN_FILES = ("/dev/std", "/dev/fd/", "/proc/")

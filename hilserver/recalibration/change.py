@@ -154,10 +154,10 @@ def grown(rows: NDArray[np.float64], newest: int) -> NDArray[np.float64]:
     variance = (away**2).sum(axis=0) / (n - 1)
     safe = np.maximum(variance, LEAST_SQUARE)
     products = (away[1:] * away[:-1]).sum(axis=0)
-    r = np.clip(products / ((n - 1) * safe) + 1.0 / n, 0.0, 0.95)
+    unbiased = products / ((n - 1) * safe) + 1.0 / n
+    r = np.clip(unbiased, 0.0, 0.95)
     worth = (1.0 - r) / (1.0 + r)
     freedom = np.maximum(n * worth - 1.0, 1.0)
     scatter = np.sqrt(safe / worth * (1.0 / newest + 1.0 / n))
-    return np.asarray(
-        stdtr(freedom, -(late.mean(axis=0) - usual.mean(axis=0)) / scatter)
-    )
+    rise = late.mean(axis=0) - usual.mean(axis=0)
+    return np.asarray(stdtr(freedom, -rise / scatter))

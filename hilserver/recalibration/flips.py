@@ -50,7 +50,8 @@ def seen(differences: Array, shown: Array) -> Array:
     shown : ndarray, shape (blocks,)
         Sum of squares of the whitened difference of the two models.
     """
-    counted = shown >= QUIET_SHARE * np.nansum(shown) / max(len(shown), 1)
+    quiet = QUIET_SHARE * np.nansum(shown) / max(len(shown), 1)
+    counted = shown >= quiet
     is_enough = float(shown[counted].sum()) >= ENOUGH_SHOWN
     return np.where(counted & is_enough, differences, 0.0)
 
@@ -68,9 +69,11 @@ def gains(differences: Array, rng: np.random.Generator) -> FlipTest:
     if n == 0:
         return FlipTest(1.0, 1.0, 0)
     # the same signs in another order differ by rounding
-    least = float(counted.sum()) - 1e-12 * float(np.abs(counted).sum())
+    rounding = 1e-12 * float(np.abs(counted).sum())
+    least = float(counted.sum()) - rounding
     if 2**n <= MOST_FLIPS:
-        signs = 1.0 - 2.0 * ((np.arange(2**n)[:, None] >> np.arange(n)) & 1)
+        bits = np.arange(2**n)[:, None] >> np.arange(n)
+        signs = 1.0 - 2.0 * (bits & 1)
         reached = int(np.count_nonzero(signs @ counted >= least))
         return FlipTest(reached / 2**n, 0.5**n, n)
     reached = done = 0

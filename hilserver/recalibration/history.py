@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from hilserver.errors import FailedError
-from hilserver.small_file import sync_folder
+from hilserver.program.whole_file import sync_folder
 
 FILE: Final = "recalibration.jsonl"
 LARGEST_BYTES: Final = 100_000_000
@@ -74,13 +74,6 @@ class History:
                 f"{self.path}: a {kind} contains a number that is not finite"
             ) from None
         data = (json.dumps(line, ensure_ascii=False) + "\n").encode()
-        self._write(data)
-        self._size += len(data)
-        self._last = line["hash"]
-        self.number += 1
-        return line
-
-    def _write(self, data: bytes) -> None:
         if self._size + len(data) > LARGEST_BYTES:
             raise FailedError(
                 f"{self.path}: is full at {LARGEST_BYTES / 1e6:.0f} MB; move it away"
@@ -103,6 +96,10 @@ class History:
             raise FailedError(
                 f"{self.path}: cannot be written: {(error.strerror or str(error)).lower()}"
             ) from None
+        self._size += len(data)
+        self._last = line["hash"]
+        self.number += 1
+        return line
 
 
 def _parsed(text: bytes) -> dict[str, Any] | None:

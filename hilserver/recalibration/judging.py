@@ -105,8 +105,9 @@ class OrderJudge:
                 if not all(set(f.causes) <= HARMLESS for f in faulty):
                     looked = Looked("data_fault", faults=faults)
                 else:
+                    remaining = [f for f in found if f not in faulty]
                     looked = replace(
-                        self._named(diagnosis, [f for f in found if f not in faulty]),
+                        self._named(diagnosis, remaining),
                         faults=faults,
                     )
                 if looked.verdict == "named" and self._order.report:
@@ -135,13 +136,16 @@ class OrderJudge:
         gone = {name: value for name, value in loaded.items() if name not in values}
         changed = {name for name, value in values.items() if value != loaded.get(name)}
         new = [f for f in named if changed & f.parameters.keys()]
+        sentence = sentence_of(new) or f"No longer present: {', '.join(sorted(gone))}."
+        causes = tuple(cause for f in new for cause in f.causes) or tuple(sorted(gone))
+        fitted = diagnosis.evidence.fitted.model_dump(mode="json", exclude_none=True)
         return Looked(
             "named",
-            sentence_of(new) or f"No longer present: {', '.join(sorted(gone))}.",
-            tuple(cause for f in new for cause in f.causes) or tuple(sorted(gone)),
+            sentence,
+            causes,
             terms,
             gone,
-            diagnosis.evidence.fitted.model_dump(mode="json", exclude_none=True),
+            fitted,
             p=again.p,
         )
 
@@ -189,7 +193,8 @@ class OrderJudge:
 
     def _level(self, terms: Mapping[str, ProposedTerm]) -> float:
         """Return the level of each comparison of a look, of which there may be one per term."""
-        return NAMED_LEVEL / (2 * max(len({*terms, *self._todo.loaded}), 1))
+        n_judged = max(len({*terms, *self._todo.loaded}), 1)
+        return NAMED_LEVEL / (2 * n_judged)
 
 
 def sentence_of(findings: Sequence[Finding]) -> str:

@@ -111,12 +111,14 @@ class RecalibrationLoop:
         ):
             measure = present(proposal) if window > began else None
         is_due = self._every_s is not None and now_s - self._looked_s >= self._every_s
+        confirm = None if candidate is None else values_of(candidate.looked.terms)
+        level = 0.0 if candidate is None else candidate.level
         found = Todo(
             window,
             dict(loaded),
             measure=measure,
-            confirm=None if candidate is None else values_of(candidate.looked.terms),
-            level=0.0 if candidate is None else candidate.level,
+            confirm=confirm,
+            level=level,
             look=is_due or self.changed is not None,
         )
         if found.look or candidate is not None or measure is not None:
@@ -240,7 +242,8 @@ class RecalibrationLoop:
         note = Note("effect", {**fields, "verdict": "not_better"}, text, 500)
         if not before.gain:  # it was itself a way back: neither model is better
             return [note]
-        return [note, *self._propose(back(before, self.count + 1, todo.window))]
+        way_back = back(before, self.count + 1, todo.window)
+        return [note, *self._propose(way_back)]
 
     # --- decisions --------------------------------------------------------------------------------
 

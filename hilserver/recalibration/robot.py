@@ -139,9 +139,8 @@ async def drive(server: ControllerServer, seed: int) -> None:
     served with the next one.
     """
     loop = asyncio.get_running_loop()
-    nodes = {signal: node for node, signal in SETPOINTS.items()} | {
-        n: n for n in MEASURES
-    }
+    setpoints = {signal: node for node, signal in SETPOINTS.items()}
+    nodes = setpoints | {n: n for n in MEASURES}
     source = rows(seed)
     begin_s = math.nan
     begun = datetime.now(UTC)

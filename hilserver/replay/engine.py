@@ -129,7 +129,8 @@ class Engine:
                 posted.append(change)
             if changes:
                 n = min(n, changes[0].tick - stretch.first_tick - done)
-            end = int(np.searchsorted(rows[:, 0], stretch.first_tick + done + n))
+            last_tick = stretch.first_tick + done + n
+            end = int(np.searchsorted(rows[:, 0], last_tick))
             if end > QUEUE_ROWS:
                 n = 1
                 end = int(np.searchsorted(rows[:, 0], stretch.first_tick + done + 1))
@@ -179,14 +180,16 @@ class Comparison:
         for index, name in enumerate(self._names):
             recorded = self._log.columns[name][rows]
             ours = values[:, index].copy()
-            equal = (recorded.view(np.int64) == ours.view(np.int64)) | (
-                np.isnan(recorded) & np.isnan(ours)
-            )
+            is_equal_bit_for_bit = recorded.view(np.int64) == ours.view(np.int64)
+            both_nan = np.isnan(recorded) & np.isnan(ours)
+            equal = is_equal_bit_for_bit | both_nan
             if not equal.all():
                 at = int(np.argmin(equal))
+                was = float(recorded[at])
+                now = float(ours[at])
                 self.difference = (
                     f"{name} in tick {ticks[at]} of segment {segment}: recorded"
-                    f" {float(recorded[at])!r}, replayed {float(ours[at])!r}"
+                    f" {was!r}, replayed {now!r}"
                 )
                 return
         self.n_ticks += len(ticks)

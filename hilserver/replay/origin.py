@@ -92,6 +92,5 @@ def _inputs(path: Path, measured: MeasuredLog) -> Log:
         begin += len(channel)
     numbers = np.array([span.number for span in measured.spans], dtype=np.int64)
     segment = numbers[rows[:, 0].astype(np.int64)]
-    return Log(
-        path, rows[:, 1] - rows[:, 1].min(), segment, columns, notices=measured.notices
-    )
+    ticks = rows[:, 1] - rows[:, 1].min()
+    return Log(path, ticks, segment, columns, notices=measured.notices)

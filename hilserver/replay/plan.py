@@ -134,9 +134,11 @@ def _runs(
     segment: NDArray[np.int64], ticks: NDArray[np.int64]
 ) -> list[tuple[int, int]]:
     """Return first and last row of every run of ticks without a gap."""
-    cuts = np.flatnonzero((np.diff(ticks) != 1) | (np.diff(segment) != 0)) + 1
+    breaks = (np.diff(ticks) != 1) | (np.diff(segment) != 0)
+    cuts = np.flatnonzero(breaks) + 1
     firsts = [0, *cuts.tolist()]
-    return [(f, n - 1) for f, n in zip(firsts, [*firsts[1:], len(ticks)], strict=True)]
+    ends = [*firsts[1:], len(ticks)]
+    return [(f, n - 1) for f, n in zip(firsts, ends, strict=True)]
 
 
 def _state_in(
@@ -200,9 +202,9 @@ def _changes(
         good = ~np.isnan(held[:, channel])
         last = np.maximum.accumulate(np.where(good, np.arange(len(held)), 0))
         held[:, channel] = held[last, channel]
-    changed = (np.diff(held.view(np.int64), axis=0) != 0) | (
-        np.diff(codes, axis=0) != 0
-    )
+    by_value = np.diff(held.view(np.int64), axis=0) != 0
+    by_code = np.diff(codes, axis=0) != 0
+    changed = by_value | by_code
     row, column = np.nonzero(changed)
     new_values = held[1:][row, column]
     new_codes = codes[1:][row, column]

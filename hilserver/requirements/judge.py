@@ -49,7 +49,8 @@ def margin(requirement: Requirement, values: Array, period_s: float) -> float:
     if first > last:
         return -math.inf
     held = _held(requirement, samples[first:], period_s)
-    return float(held[: last - first + 1].max(initial=-math.inf))
+    within = held[: last - first + 1]
+    return float(within.max(initial=-math.inf))
 
 
 def sample_margins(requirement: Requirement, values: Array) -> Array:

@@ -86,26 +86,32 @@ def _surfaces(seed: int, gains: list[float], prefix: str) -> dict[str, Recipe]:
 def _surface_null(seed: int, rng: Random) -> ScenarioDrive:
     """Twelve runs on four floors without a difference: the scatter of table 5.1."""
     gains = (1.034 + 0.032 * rng.standard_normal(12)).tolist()
+    logs = _surfaces(seed, gains[:6], "a")
+    against = _surfaces(seed, gains[6:], "b")
+    expectation = _expect(
+        verdict="no_difference", **_not("surface_change", "rotation_gain")
+    )
     return ScenarioDrive(
-        logs=_surfaces(seed, gains[:6], "a"),
-        against=_surfaces(seed, gains[6:], "b"),
-        expectation=_expect(
-            verdict="no_difference", **_not("surface_change", "rotation_gain")
-        ),
+        logs=logs,
+        against=against,
+        expectation=expectation,
         hidden="nothing: K_om scatters by 0.032 from run to run on all floors",
     )
 
 
 def _surface_real(seed: int, rng: Random) -> ScenarioDrive:
     scatter = 0.032 * rng.standard_normal(6)
+    logs = _surfaces(seed, (1.995 + scatter[:3]).tolist(), "a")
+    against = _surfaces(seed, (1.05 + scatter[3:]).tolist(), "b")
+    expectation = _expect(
+        frozenset({"rotation_gain", "gyro_scale"}),
+        verdict="differs",
+        **_not("drift"),
+    )
     return ScenarioDrive(
-        logs=_surfaces(seed, (1.995 + scatter[:3]).tolist(), "a"),
-        against=_surfaces(seed, (1.05 + scatter[3:]).tolist(), "b"),
-        expectation=_expect(
-            frozenset({"rotation_gain", "gyro_scale"}),
-            verdict="differs",
-            **_not("drift"),
-        ),
+        logs=logs,
+        against=against,
+        expectation=expectation,
         hidden="K_om 1.995 on concrete and 1.05 on tile",
     )
 
@@ -195,14 +201,17 @@ def _on_a_frame(seed: int, rng: Random) -> ScenarioDrive:
     recorder = Recorder(rate_hz=500.0, row_jitter_s=0.0, channels=channels)
     load = {"coulomb_friction": float(rng.uniform(5, 15)), "viscous_load": 0.08}
     bench: dict[str, Any] = {"kind": "bench", "recorder": recorder}
+    logs = {"air.csv": Recipe(seed=2 * seed, in_the_air=True, **bench)}
+    against = {"floor.csv": Recipe(seed=2 * seed + 1, causes=load, **bench)}
+    expectation = _expect(
+        frozenset({"coulomb_friction", "viscous_load"}),
+        verdict="differs",
+        must_not_say=KINEMATIC | {"gyro_scale"},
+    )
     return ScenarioDrive(
-        logs={"air.csv": Recipe(seed=2 * seed, in_the_air=True, **bench)},
-        against={"floor.csv": Recipe(seed=2 * seed + 1, causes=load, **bench)},
-        expectation=_expect(
-            frozenset({"coulomb_friction", "viscous_load"}),
-            verdict="differs",
-            must_not_say=KINEMATIC | {"gyro_scale"},
-        ),
+        logs=logs,
+        against=against,
+        expectation=expectation,
         hidden="on the floor the wheels carry a load; in the air they carry none",
     )
 

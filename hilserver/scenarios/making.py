@@ -28,18 +28,20 @@ def write(scenario: ThesisScenario, seed: int, folder: Path) -> ScenarioDrive:
         sealed = folder / SEALED
         sealed.mkdir(parents=True, exist_ok=True)
         expected = drive.expectation
+        must_say = [sorted(names) for names in expected.must_say]
+        recipes = {
+            name: asdict(r) for name, r in {**drive.logs, **drive.against}.items()
+        }
         document = {
             "scenario": scenario.name,
             "seed": seed,
             "thesis": scenario.says,
             "hidden": drive.hidden,
-            "must_say": [sorted(names) for names in expected.must_say],
+            "must_say": must_say,
             "together": sorted(expected.together),
             "must_not_say": sorted(expected.must_not_say),
             "verdict": expected.verdict,
-            "recipes": {
-                name: asdict(r) for name, r in {**drive.logs, **drive.against}.items()
-            },
+            "recipes": recipes,
         }
         text = json.dumps(document, indent=1, default=str) + "\n"
         (sealed / "truth.json").write_text(text, encoding="utf-8")

@@ -6,6 +6,7 @@ A new signal is a new row here; its slots follow from its place.
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Final
 
 from hilserver.plant.layout import (
     COMMAND_NORMAL,
@@ -24,6 +25,9 @@ from hilserver.signals.vocabulary import (
     SAMPLED,
     State,
 )
+
+_Row = tuple[str, str, float, float, str]
+"""Name, unit, lowest and highest value, description."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +103,19 @@ class _Builder:
         )
 
 
+def _add_light_commands(b: _Builder) -> None:
+    in_ = Direction.IN
+    byte = ValueType.BYTE
+    text = f"Light pattern: {', '.join(f'{i} {name}' for i, name in enumerate(LIGHTS))}"
+    b.add(
+        "lights.command", "1", in_, 0, len(LIGHTS) - 1, text, type_=byte, labels=LIGHTS
+    )
+    for colour in COLOURS:
+        b.add(
+            f"lights.{colour}", "1", in_, 0, 255, f"Light colour, {colour}", type_=byte
+        )
+
+
 def _add_inputs(b: _Builder, ranges: Ranges) -> None:
     in_ = Direction.IN
     for wheel in WHEELS:
@@ -137,14 +154,7 @@ def _add_inputs(b: _Builder, ranges: Ranges) -> None:
     b.add(
         "drive.enable", "1", in_, 0, 1, text, type_=boolean, initial=1.0, labels=enabled
     )
-    text = f"Light pattern: {', '.join(f'{i} {name}' for i, name in enumerate(LIGHTS))}"
-    b.add(
-        "lights.command", "1", in_, 0, len(LIGHTS) - 1, text, type_=byte, labels=LIGHTS
-    )
-    for colour in COLOURS:
-        b.add(
-            f"lights.{colour}", "1", in_, 0, 255, f"Light colour, {colour}", type_=byte
-        )
+    _add_light_commands(b)
     b.add(
         "input.sequence",
         "1",
@@ -199,8 +209,66 @@ def _add_hidden(b: _Builder) -> None:
     )
 
 
-def _robot_outputs() -> list[tuple[str, str, float, float, str]]:
-    rows: list[tuple[str, str, float, float, str]] = []
+_MOTION: Final[list[_Row]] = [
+    ("pose.x_m", "m", -1e6, 1e6, "Position of the centre of mass, world frame"),
+    ("pose.y_m", "m", -1e6, 1e6, "Position of the centre of mass, world frame"),
+    (
+        "pose.yaw_rad",
+        "rad",
+        -math.pi,
+        math.pi,
+        "Heading, counter-clockwise positive",
+    ),
+    ("velocity.linear_m_s", "m/s", -10.0, 10.0, "Forward velocity, body frame"),
+    (
+        "velocity.lateral_m_s",
+        "m/s",
+        -10.0,
+        10.0,
+        "Lateral velocity, body frame, left +",
+    ),
+    (
+        "velocity.angular_rad_s",
+        "rad/s",
+        -50.0,
+        50.0,
+        "Yaw rate, counter-clockwise +",
+    ),
+    ("imu.gyro_z_rad_s", "rad/s", -50.0, 50.0, "Gyroscope, z axis"),
+    ("imu.yaw_rad", "rad", -math.pi, math.pi, "Yaw of the IMU"),
+    (
+        "imu.accel_x_m_s2",
+        "m/s²",
+        -500.0,
+        500.0,
+        "Acceleration of the centre of mass, forward",
+    ),
+    (
+        "imu.accel_y_m_s2",
+        "m/s²",
+        -500.0,
+        500.0,
+        "Acceleration of the centre of mass, left",
+    ),
+    ("battery.voltage_v", "V", 0.0, 30.0, "Battery voltage"),
+]
+_SLOW_SENSORS: Final[list[_Row]] = [
+    ("nav.x_m", "m", -1e6, 1e6, "Navigation tag, position"),
+    ("nav.y_m", "m", -1e6, 1e6, "Navigation tag, position"),
+    ("nav.yaw_rad", "rad", -math.pi, math.pi, "Navigation tag, heading"),
+    (
+        "battery.current_a",
+        "A",
+        0.0,
+        50.0,
+        "Current that the robot draws from the battery",
+    ),
+    ("shield.temperature_degc", "°C", -40.0, 125.0, "Temperature of the shield"),
+]
+
+
+def _robot_outputs() -> list[_Row]:
+    rows: list[_Row] = []
     for wheel in WHEELS:
         text = f"Measured speed of the {wheel} wheel, as seen by the controller"
         rows.append((f"wheel.{wheel}.speed_rpm", "rpm", -200.0, 200.0, text))
@@ -224,49 +292,7 @@ def _robot_outputs() -> list[tuple[str, str, float, float, str]]:
         )
         for w in WHEELS
     ]
-    rows += [
-        ("pose.x_m", "m", -1e6, 1e6, "Position of the centre of mass, world frame"),
-        ("pose.y_m", "m", -1e6, 1e6, "Position of the centre of mass, world frame"),
-        (
-            "pose.yaw_rad",
-            "rad",
-            -math.pi,
-            math.pi,
-            "Heading, counter-clockwise positive",
-        ),
-        ("velocity.linear_m_s", "m/s", -10.0, 10.0, "Forward velocity, body frame"),
-        (
-            "velocity.lateral_m_s",
-            "m/s",
-            -10.0,
-            10.0,
-            "Lateral velocity, body frame, left +",
-        ),
-        (
-            "velocity.angular_rad_s",
-            "rad/s",
-            -50.0,
-            50.0,
-            "Yaw rate, counter-clockwise +",
-        ),
-        ("imu.gyro_z_rad_s", "rad/s", -50.0, 50.0, "Gyroscope, z axis"),
-        ("imu.yaw_rad", "rad", -math.pi, math.pi, "Yaw of the IMU"),
-        (
-            "imu.accel_x_m_s2",
-            "m/s²",
-            -500.0,
-            500.0,
-            "Acceleration of the centre of mass, forward",
-        ),
-        (
-            "imu.accel_y_m_s2",
-            "m/s²",
-            -500.0,
-            500.0,
-            "Acceleration of the centre of mass, left",
-        ),
-        ("battery.voltage_v", "V", 0.0, 30.0, "Battery voltage"),
-    ]
+    rows += _MOTION
     rows += [
         (
             f"tof.{place}_m",
@@ -277,19 +303,7 @@ def _robot_outputs() -> list[tuple[str, str, float, float, str]]:
         )
         for place in CORNERS
     ]
-    rows += [
-        ("nav.x_m", "m", -1e6, 1e6, "Navigation tag, position"),
-        ("nav.y_m", "m", -1e6, 1e6, "Navigation tag, position"),
-        ("nav.yaw_rad", "rad", -math.pi, math.pi, "Navigation tag, heading"),
-        (
-            "battery.current_a",
-            "A",
-            0.0,
-            50.0,
-            "Current that the robot draws from the battery",
-        ),
-        ("shield.temperature_degc", "°C", -40.0, 125.0, "Temperature of the shield"),
-    ]
+    rows += _SLOW_SENSORS
     return rows
 
 
@@ -317,61 +331,87 @@ def _add_demands(b: _Builder, max_rpm: float) -> None:
         )
 
 
-def _body_outputs() -> list[tuple[str, str, float, float, str]]:
+_BODY_MOTION: Final[list[_Row]] = [
+    (
+        "mech.x_m",
+        "m",
+        -1e6,
+        1e6,
+        "Position of the body's centre of mass, world frame",
+    ),
+    (
+        "mech.y_m",
+        "m",
+        -1e6,
+        1e6,
+        "Position of the body's centre of mass, world frame",
+    ),
+    (
+        "mech.z_m",
+        "m",
+        -1e6,
+        1e6,
+        "Height of the body's centre of mass above the floor",
+    ),
+    (
+        "mech.roll_rad",
+        "rad",
+        -math.pi,
+        math.pi,
+        "Roll of the body, right side down +",
+    ),
+    ("mech.pitch_rad", "rad", -math.pi, math.pi, "Pitch of the body, nose down +"),
+    (
+        "mech.yaw_rad",
+        "rad",
+        -math.pi,
+        math.pi,
+        "Heading of the body, counter-clockwise +",
+    ),
+    ("mech.linear_m_s", "m/s", -100.0, 100.0, "Forward velocity of the body"),
+    (
+        "mech.lateral_m_s",
+        "m/s",
+        -100.0,
+        100.0,
+        "Lateral velocity of the body, left +",
+    ),
+    (
+        "mech.angular_rad_s",
+        "rad/s",
+        -500.0,
+        500.0,
+        "Yaw rate of the body, counter-clockwise +",
+    ),
+]
+_BODY_BESIDE_POSE: Final[list[_Row]] = [
+    (
+        "mech.gap_m",
+        "m",
+        0.0,
+        1e6,
+        "Distance between the body and the kinematic pose",
+    ),
+    (
+        "mech.gap_yaw_rad",
+        "rad",
+        -math.pi,
+        math.pi,
+        "Heading of the body minus the kinematic one",
+    ),
+    (
+        "mech.contact",
+        "1",
+        0.0,
+        1.0,
+        "1 while the chassis touches a wall, a box or the floor",
+    ),
+]
+
+
+def _body_outputs() -> list[_Row]:
     """Return the outputs of the mechatronic model, in the order of `hilserver.body.layout`."""
-    rows = [
-        (
-            "mech.x_m",
-            "m",
-            -1e6,
-            1e6,
-            "Position of the body's centre of mass, world frame",
-        ),
-        (
-            "mech.y_m",
-            "m",
-            -1e6,
-            1e6,
-            "Position of the body's centre of mass, world frame",
-        ),
-        (
-            "mech.z_m",
-            "m",
-            -1e6,
-            1e6,
-            "Height of the body's centre of mass above the floor",
-        ),
-        (
-            "mech.roll_rad",
-            "rad",
-            -math.pi,
-            math.pi,
-            "Roll of the body, right side down +",
-        ),
-        ("mech.pitch_rad", "rad", -math.pi, math.pi, "Pitch of the body, nose down +"),
-        (
-            "mech.yaw_rad",
-            "rad",
-            -math.pi,
-            math.pi,
-            "Heading of the body, counter-clockwise +",
-        ),
-        ("mech.linear_m_s", "m/s", -100.0, 100.0, "Forward velocity of the body"),
-        (
-            "mech.lateral_m_s",
-            "m/s",
-            -100.0,
-            100.0,
-            "Lateral velocity of the body, left +",
-        ),
-        (
-            "mech.angular_rad_s",
-            "rad/s",
-            -500.0,
-            500.0,
-            "Yaw rate of the body, counter-clockwise +",
-        ),
-    ]
+    rows = list(_BODY_MOTION)
     rows += [
         (f"mech.tof.{place}_m", "m", 0.0, 5.0, f"Range finder {place} of the body")
         for place in CORNERS
@@ -407,30 +447,7 @@ def _body_outputs() -> list[tuple[str, str, float, float, str]]:
             (f"mech.wheel.{w}.{quantity}", unit, low, size, text.format(WHEEL_WORDS[w]))
             for w in WHEELS
         ]
-    return [
-        *rows,
-        (
-            "mech.gap_m",
-            "m",
-            0.0,
-            1e6,
-            "Distance between the body and the kinematic pose",
-        ),
-        (
-            "mech.gap_yaw_rad",
-            "rad",
-            -math.pi,
-            math.pi,
-            "Heading of the body minus the kinematic one",
-        ),
-        (
-            "mech.contact",
-            "1",
-            0.0,
-            1.0,
-            "1 while the chassis touches a wall, a box or the floor",
-        ),
-    ]
+    return rows + _BODY_BESIDE_POSE
 
 
 def _add_samples(b: _Builder) -> None:
@@ -499,27 +516,8 @@ def _add_interlock(b: _Builder) -> None:
     )
 
 
-def robot_table(
-    ranges: Ranges,
-    blocks: Iterable[BlockOutput] = (),
-    *,
-    body: bool = False,
-    observer: bool = False,
-    samples: bool = False,
-) -> SignalTable:
-    """Return the table of the four-wheeled robot, followed by the outputs of own blocks.
-
-    With `body` or `observer`, the outputs of the mechatronic model or the observer come before
-    these. Measured samples are counted for an observer, or with `samples`.
-    """
-    b = _Builder()
-    _add_inputs(b, ranges)
-    _add_hidden(b)
-    outputs = _robot_outputs()
-    for name, unit, low, high, text in outputs:
-        b.add(name, unit, Direction.OUT, low, high, text)
-    _add_lights(b)
-    _add_demands(b, ranges.max_rpm)
+def _add_daemon(b: _Builder) -> None:
+    """Add time, tick and state of the daemon."""
     out = Direction.OUT
     b.add(
         "sim.tick",
@@ -548,13 +546,55 @@ def robot_table(
     )
     text = "Number of the last parameter change"
     b.add("internal.edition", "1", out, 0, 2**53, text, hidden=True)
+
+
+def _add_measured(b: _Builder, outputs: Iterable[_Row], max_rpm: float) -> None:
+    """Add what a real robot beside this one measures."""
     for name, unit, low, high, text in outputs:
         b.add(f"{MEASURED}{name}", unit, Direction.IN, low, high, f"Real robot: {text}")
     for wheel in WHEELS:
         text = f"Real robot: set-point that its {wheel} wheel currently follows"
         name = f"{MEASURED}wheel.{wheel}.setpoint_rpm"
-        rpm = ranges.max_rpm
-        b.add(name, "rpm", Direction.IN, -rpm, rpm, text)
+        b.add(name, "rpm", Direction.IN, -max_rpm, max_rpm, text)
+
+
+def _add_arrays(b: _Builder) -> None:
+    b.alias(
+        "wheels.setpoints_rpm",
+        [f"wheel.{w}.setpoint_rpm" for w in WHEELS],
+        "All set-points",
+    )
+    b.alias(
+        "wheels.speeds_rpm",
+        [f"wheel.{w}.speed_rpm" for w in WHEELS],
+        "All wheel speeds",
+    )
+
+
+def robot_table(
+    ranges: Ranges,
+    blocks: Iterable[BlockOutput] = (),
+    *,
+    body: bool = False,
+    observer: bool = False,
+    samples: bool = False,
+) -> SignalTable:
+    """Return the table of the four-wheeled robot, followed by the outputs of own blocks.
+
+    With `body` or `observer`, the outputs of the mechatronic model or the observer come before
+    these. Measured samples are counted for an observer, or with `samples`.
+    """
+    b = _Builder()
+    _add_inputs(b, ranges)
+    _add_hidden(b)
+    outputs = _robot_outputs()
+    for name, unit, low, high, text in outputs:
+        b.add(name, unit, Direction.OUT, low, high, text)
+    _add_lights(b)
+    _add_demands(b, ranges.max_rpm)
+    _add_daemon(b)
+    _add_measured(b, outputs, ranges.max_rpm)
+    out = Direction.OUT
     for name, unit, low, high, text in _body_outputs() if body else ():
         b.add(name, unit, out, low, high, text)
     if observer:
@@ -573,14 +613,5 @@ def robot_table(
             hidden=hidden,
         )
     _add_interlock(b)  # last: the slots of all others are those of before
-    b.alias(
-        "wheels.setpoints_rpm",
-        [f"wheel.{w}.setpoint_rpm" for w in WHEELS],
-        "All set-points",
-    )
-    b.alias(
-        "wheels.speeds_rpm",
-        [f"wheel.{w}.speed_rpm" for w in WHEELS],
-        "All wheel speeds",
-    )
+    _add_arrays(b)
     return SignalTable(b.signals)

@@ -44,7 +44,8 @@ class Draws:
     @property
     def names(self) -> tuple[str, ...]:
         """Parameters that differ from machine to machine."""
-        return (*(() if self.joint is None else self.joint.names), *self.population)
+        joint = () if self.joint is None else self.joint.names
+        return (*(joint), *self.population)
 
     def plant_seed(self, index: int) -> int:
         """Return the seed of the machine's noise."""
@@ -107,5 +108,6 @@ def root_of(covariance: Array) -> Array:
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
     if values.min(initial=0.0) < -1e-6:
         raise ValueError("is not positive semidefinite")
-    root: Array = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    size = np.sqrt(np.maximum(values, 0.0))
+    root: Array = scale[:, None] * vectors * size
     return root

@@ -96,7 +96,9 @@ def explained(values: Array, ranks: Array) -> float:
 def _correlation(a: Array, b: Array) -> float:
     a = a - a.mean()
     b = b - b.mean()
-    size = math.sqrt(float((a**2).sum()) * float((b**2).sum()))
+    of_a = float((a**2).sum())
+    of_b = float((b**2).sum())
+    size = math.sqrt(of_a * of_b)
     if size > 0.0:
         return float((a * b).sum()) / size
     return 0.0
@@ -107,8 +109,11 @@ def _fisher(r: float, n: int) -> tuple[float, float]:
         if abs(r) >= 1.0:
             return (r, r)
         return (-1.0, 1.0)
-    width = 1.96 * math.sqrt((1.0 + r * r / 2.0) / (n - 3))
-    return math.tanh(math.atanh(r) - width), math.tanh(math.atanh(r) + width)
+    spread = 1.0 + r * r / 2.0
+    width = 1.96 * math.sqrt(spread / (n - 3))
+    high = math.atanh(r) + width
+    low = math.atanh(r) - width
+    return math.tanh(low), math.tanh(high)
 
 
 def median_interval(values: Array) -> tuple[float, float, float]:

@@ -21,13 +21,13 @@ def write_junit(path: Path, table: MachineTable) -> None:
         n = int(driven.sum())
         low, high = exact_interval(met, n)
         case = ET.Element("testcase", classname=name, name=requirement)
-        text = f"{met} of {n} machines meet it: {met / max(n, 1):.4f} ({low:.4f} .. {high:.4f})"
+        share = met / max(n, 1)
+        text = f"{met} of {n} machines meet it: {share:.4f} ({low:.4f} .. {high:.4f})"
         if met < shares[requirement] * n or n == 0:
             failures += 1
             failure = ET.SubElement(case, "failure", message=text)
-            order = np.argsort(
-                np.where(np.isnan(margins), -np.inf, margins), kind="stable"
-            )
+            known = np.where(np.isnan(margins), -np.inf, margins)
+            order = np.argsort(known, kind="stable")
             lines = []
             for row in order[:10].tolist():
                 if table.status[row] != REFUSED:

@@ -178,8 +178,9 @@ def _with_controller(
     where = str(path.parent / file) if file.endswith(".py") else file
     wanted = controller.model_dump(include={"slice", "inputs", "drives", "parameters"})
     try:
+        name = controller.name or function
         block = BlockConfig(
-            name=controller.name or function,
+            name=name,
             function=where + colon + function,
             **wanted,
         )

@@ -64,9 +64,8 @@ class Rig:
         self._image = self._core.image
         self._image.control.state = State.RUNNING
         self._judge, self._kept = judge_of(job, self._table)
-        self._slots = np.array(
-            [self._table.slot(name) for name in self._kept], dtype=np.int64
-        )
+        slots = [self._table.slot(name) for name in self._kept]
+        self._slots = np.array(slots, dtype=np.int64)
         self._values = np.zeros((len(self._kept), job.n_ticks))
         self._periods = np.array(
             [s.period_ticks for s in assembly.slices if s.compiled], dtype=np.int64
@@ -158,7 +157,8 @@ class Rig:
         self._advance(0, 1)
         for first in range(0, n, self._every):
             driver.act(first)
-            self._advance(first + 1, min(self._every, n - first - 1))
+            n_ticks = min(self._every, n - first - 1)
+            self._advance(first + 1, n_ticks)
 
     def _advance(self, first: int, n_ticks: int) -> None:
         image = self._image
@@ -227,8 +227,11 @@ def distance_to_way(x_m: Array, y_m: Array, way: Array) -> Array:
         length2 = dx * dx + dy * dy
         along = np.zeros(len(x_m))
         if length2 > 0.0:
-            along = np.clip(((x_m - ax) * dx + (y_m - ay) * dy) / length2, 0.0, 1.0)
-        square = (x_m - ax - along * dx) ** 2 + (y_m - ay - along * dy) ** 2
+            projected = (x_m - ax) * dx + (y_m - ay) * dy
+            along = np.clip(projected / length2, 0.0, 1.0)
+        aside_x = x_m - ax - along * dx
+        aside_y = y_m - ay - along * dy
+        square = aside_x**2 + aside_y**2
         nearest = np.minimum(nearest, square)
     distance: Array = np.sqrt(nearest)
     return distance

@@ -83,9 +83,11 @@ class Stepped:
         given = self.job.sweep.controller
         assert given is not None
         own = {ENDPOINT: daemon.part("opcua").url, SEED: str(machine.seed)}
+        words = [filled(word, own) for word in given.command]
+        limits = self.job.sweep.limits
         return guest(
-            [filled(word, own) for word in given.command],
-            memory_mb=self.job.sweep.limits.memory_mb,
+            words,
+            memory_mb=limits.memory_mb,
             cwd=self.job.path.parent,
             stdout=asyncio.subprocess.DEVNULL,
         )
@@ -134,9 +136,9 @@ class _Watch:
     def place(self) -> str:
         """How far the drive has got, in words."""
         period_s = self._daemon.assembly.base_period_ns * 1e-9
-        return (
-            f"the drive reached {self._done * period_s:g} s of {self._n * period_s:g} s"
-        )
+        reached_s = self._done * period_s
+        asked_s = self._n * period_s
+        return f"the drive reached {reached_s:g} s of {asked_s:g} s"
 
     def _look(self) -> None:
         image = self._daemon.image

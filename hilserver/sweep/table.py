@@ -64,13 +64,15 @@ class MachineTable:
 
     def columns(self) -> dict[str, Any]:
         """Return the columns of the file by name."""
+        faults_drawn = {FAULT + name: values for name, values in self.faults.items()}
+        margins_drawn = {MARGIN + name: values for name, values in self.margins.items()}
         return {
             "index": self.index,
             "seed": self.seed,
             "status": self.status,
             **self.parameters,
-            **{FAULT + name: values for name, values in self.faults.items()},
-            **{MARGIN + name: values for name, values in self.margins.items()},
+            **faults_drawn,
+            **margins_drawn,
             "message": self.message,
             "computer": self.computer,
         }

@@ -69,7 +69,8 @@ def plan(
     sweep = prepared.sweep
     draws = prepared.draws
     tried = min(sweep.machines, MOST_TRIED)
-    refused = [m.refused for m in map(prepared.machine, range(tried)) if m.p is None]
+    machines = map(prepared.machine, range(tried))
+    refused = [m.refused for m in machines if m.p is None]
     duration_s = prepared.job.n_ticks * prepared.assembly.base_period_ns * 1e-9
     lines = [
         f"{sweep.machines} machines, {duration_s:g} s each, {len(sweep.require)} requirements"
@@ -109,15 +110,18 @@ def compare(a: MachineTable, b: MachineTable) -> str:
     LogError if the machines differ.
     """
     mine, other = _shared(a, b)
-    passed_a = np.array([a.status[row] == PASSED for row in mine], dtype=bool)
-    passed_b = np.array([b.status[row] == PASSED for row in other], dtype=bool)
+    in_a = [a.status[row] == PASSED for row in mine]
+    passed_a = np.array(in_a, dtype=bool)
+    in_b = [b.status[row] == PASSED for row in other]
+    passed_b = np.array(in_b, dtype=bool)
     only_a = int((passed_a & ~passed_b).sum())
     only_b = int((~passed_a & passed_b).sum())
     both = int((passed_a & passed_b).sum())
+    neither = len(mine) - both - only_a - only_b
     lines = [
         f"{len(mine)} machines, the same in both",
         f"pass in both {both}, only in A {only_a}, only in B {only_b},"
-        f" in neither {len(mine) - both - only_a - only_b}",
+        f" in neither {neither}",
         f"probability of such a difference by chance: {paired_p(only_a, only_b):.3g} (McNemar,"
         " exact)",
     ]

@@ -194,4 +194,6 @@ def to_scale(xy: Array) -> tuple[tuple[float, float], tuple[float, float]]:
     y = 0.5 * (low + high)
     half_x = 0.5 * a_pixel_m * width
     half_y = 0.5 * a_pixel_m * height
-    return (x - half_x, x + half_x), (y - half_y, y + half_y)
+    x_span = (x - half_x, x + half_x)
+    y_span = (y - half_y, y + half_y)
+    return x_span, y_span

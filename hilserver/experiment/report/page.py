@@ -80,6 +80,7 @@ def render(
     notes = list(courses.notes)
     if courses.missing:
         notes.append(courses.missing)
+    title = figures.numbered("Wheel speeds", experiment.figures.get("wheels"))
     return (
         report_environment()
         .get_template("experiment.html.j2")
@@ -93,9 +94,7 @@ def render(
             gaps=gaps,
             names=NAMES,
             identified=identified,
-            wheels_title=figures.numbered(
-                "Wheel speeds", experiment.figures.get("wheels")
-            ),
+            wheels_title=title,
             wheels_legend=of_wheels,
             wheels=wheels,
             reading=reading(both),

@@ -134,15 +134,16 @@ class EdgeLink(Part):
             try:
                 config = self._config
                 will = payload.status(config, 0, time.time_ns(), available=False)
+                last_will = aiomqtt.Will(
+                    payload.status_topic(config), will, qos=config.qos, retain=True
+                )
                 self._client = aiomqtt.Client(
                     config.host,
                     config.port,
                     username=config.user,
                     password=password,
                     protocol=PROTOCOLS[config.version],
-                    will=aiomqtt.Will(
-                        payload.status_topic(config), will, qos=config.qos, retain=True
-                    ),
+                    will=last_will,
                     tls_context=context,
                     timeout=ANSWER_S,
                     keepalive=KEEPALIVE_S,

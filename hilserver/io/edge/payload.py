@@ -105,32 +105,34 @@ def metadata(
 
 def _described(collection: Collection) -> dict[str, Any]:
     written = {"pubTopic": collection.write_topic} if collection.write_topic else {}
+    definitions = [
+        {
+            "name": signal.name,
+            "id": _id(signal),
+            "dataType": DATA_TYPES[signal.type],
+        }
+        for signal in collection.signals
+    ]
     return {
         "name": collection.group.name,
         "topic": collection.topic,
         **written,
         "publishType": "bulk",
-        "dataPointDefinitions": [
-            {
-                "name": signal.name,
-                "id": _id(signal),
-                "dataType": DATA_TYPES[signal.type],
-            }
-            for signal in collection.signals
-        ],
+        "dataPointDefinitions": definitions,
     }
 
 
 def status(config: EdgeConfig, number: int, utc_ns: int, *, available: bool) -> bytes:
     """Return birth message or last will."""
+    connections = [
+        {"name": config.connection, "status": "good" if available else "bad"}
+    ]
     return _json(
         {
             "seq": number,
             "ts": _timestamp(utc_ns),
             "connector": {"status": "available" if available else "unavailable"},
-            "connections": [
-                {"name": config.connection, "status": "good" if available else "bad"}
-            ],
+            "connections": connections,
         }
     )
 

@@ -51,9 +51,8 @@ _log = structlog.get_logger(__name__)
 
 def hidden_host() -> str:
     """Return a loopback address that cannot be guessed."""
-    return ".".join(
-        ["127", *(str(random.SystemRandom().randint(1, 254)) for _ in range(3))]
-    )
+    numbers = ["127", *(str(random.SystemRandom().randint(1, 254)) for _ in range(3))]
+    return ".".join(numbers)
 
 
 class ViewerDoor:
@@ -140,11 +139,11 @@ class ViewerDoor:
         protocols = set(re.findall(rb"[^\s,]+", lists))
         if not refusal and not protocols & {SDK_PROTOCOL, EARLIER_PROTOCOL}:
             refusal = _UNKNOWN
+            asked_for = b", ".join(sorted(protocols)).decode("latin-1")[:200] or "none"
             _log.warning(
                 "foxglove viewer refused: it speaks another version",
                 address=place.address,
-                asks_for=b", ".join(sorted(protocols)).decode("latin-1")[:200]
-                or "none",
+                asks_for=asked_for,
                 known=f"{SDK_PROTOCOL.decode()}, {EARLIER_PROTOCOL.decode()}",
             )
         if refusal:

@@ -108,9 +108,11 @@ class FoxgloveEndpoint(Part):
                 loop.call_soon_threadsafe(take_soon)
 
         table = self._world.table
-        inbox = Inbox(
-            self._understood, lambda name: name in table and table[name].writable, wake
-        )
+
+        def may_write(name: str) -> bool:
+            return name in table and table[name].writable
+
+        inbox = Inbox(self._understood, may_write, wake)
         host = hidden_host()
         try:
             self._server = await asyncio.to_thread(
@@ -133,10 +135,9 @@ class FoxgloveEndpoint(Part):
             where = f"{self._config.host} port {self._config.port}"
             raise address_refused(f"foxglove: cannot listen on {where}", why) from None
         tasks = self._world.tasks
-        self._jobs = [
-            tasks.every("foxglove", 1.0 / self._config.rate_hz, self._show_newest),
-            tasks.every("foxglove: watch", WATCH_S, self._look),
-        ]
+        showing = tasks.every("foxglove", 1.0 / self._config.rate_hz, self._show_newest)
+        watching = tasks.every("foxglove: watch", WATCH_S, self._look)
+        self._jobs = [showing, watching]
 
     async def stop(self) -> None:
         """Close all connections."""
@@ -187,14 +188,15 @@ class FoxgloveEndpoint(Part):
             float(values[slot(f"{name}.{part}")]) for part in ("x_m", "y_m", "yaw_rad")
         )
         sec, nsec = divmod(stamp_ns, 10**9)
+        timestamp = fg.Timestamp(sec=sec, nsec=nsec)
+        translation = fg.Vector3(x=x, y=y, z=0.0)
+        rotation = fg.Quaternion(x=0.0, y=0.0, z=math.sin(yaw / 2), w=math.cos(yaw / 2))
         return fg.FrameTransform(
-            timestamp=fg.Timestamp(sec=sec, nsec=nsec),
+            timestamp=timestamp,
             parent_frame_id=parent,
             child_frame_id=child,
-            translation=fg.Vector3(x=x, y=y, z=0.0),
-            rotation=fg.Quaternion(
-                x=0.0, y=0.0, z=math.sin(yaw / 2), w=math.cos(yaw / 2)
-            ),
+            translation=translation,
+            rotation=rotation,
         )
 
     # --- what viewers publish ---------------------------------------------------------------------

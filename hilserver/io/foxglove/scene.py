@@ -40,29 +40,29 @@ def scene(hall: NDArray[Any], shape: Shape) -> Any:
         for x in (1, -1)
         for y in (1, -1)
     ]
-    return fg.SceneUpdate(
-        entities=[
-            fg.SceneEntity(id="hall", frame_id="map", cubes=walls),
-            fg.SceneEntity(
-                id="robot",
-                frame_id="base_link",
-                frame_locked=True,
-                cubes=[chassis],
-                cylinders=wheels,
-            ),
-        ]
+    hall_entity = fg.SceneEntity(id="hall", frame_id="map", cubes=walls)
+    robot_entity = fg.SceneEntity(
+        id="robot",
+        frame_id="base_link",
+        frame_locked=True,
+        cubes=[chassis],
+        cylinders=wheels,
     )
+    return fg.SceneUpdate(entities=[hall_entity, robot_entity])
 
 
 def _wall(x1: float, y1: float, x2: float, y2: float) -> Any:
     half = 0.5 * math.atan2(y2 - y1, x2 - x1)
     turned = fg.Quaternion(x=0.0, y=0.0, z=math.sin(half), w=math.cos(half))
     length_m = math.hypot(x2 - x1, y2 - y1)
-    middle = _pose(0.5 * (x1 + x2), 0.5 * (y1 + y2), turned, 0.5 * WALL_HEIGHT_M)
+    x = 0.5 * (x1 + x2)
+    y = 0.5 * (y1 + y2)
+    middle = _pose(x, y, turned, 0.5 * WALL_HEIGHT_M)
     size = fg.Vector3(x=length_m, y=0.02, z=WALL_HEIGHT_M)
     return fg.CubePrimitive(pose=middle, size=size, color=_GREY)
 
 
 def _pose(x: float = 0.0, y: float = 0.0, turned: Any = None, z: float = 0.0) -> Any:
     upright = fg.Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
-    return fg.Pose(position=fg.Vector3(x=x, y=y, z=z), orientation=turned or upright)
+    position = fg.Vector3(x=x, y=y, z=z)
+    return fg.Pose(position=position, orientation=turned or upright)

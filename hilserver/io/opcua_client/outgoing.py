@@ -99,8 +99,10 @@ def data_value(
     value: ua.Variant, form: SentForm, status: int, stamp: datetime
 ) -> ua.DataValue:
     """Return the value to send; without this the library would fill in a missing status."""
+    code = ua.StatusCode(ua.UInt32(status)) if form.has_status else None
+    source_stamp = stamp if form.has_stamp else None
     return ua.DataValue(
         value,
-        StatusCode=ua.StatusCode(ua.UInt32(status)) if form.has_status else None,
-        SourceTimestamp=stamp if form.has_stamp else None,
+        StatusCode=code,
+        SourceTimestamp=source_stamp,
     )

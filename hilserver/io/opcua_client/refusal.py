@@ -39,7 +39,7 @@ def certificate_refused(
     `trust_with`: how to trust the certificate, with ``THUMBPRINT`` for its thumbprint.
     """
     of = CertificateVerdict
-    sentence = {
+    sentences = {
         of.USE: "its certificate may not be used by a server: its key usage forbids it",
         of.REVOKED: "its certificate is revoked",
         of.REVOCATION_UNKNOWN: "its certificate may be revoked: a file in 'revoked' cannot be"
@@ -48,7 +48,8 @@ def certificate_refused(
         of.ISSUER_TIME: "the certificate of its authority is not valid now",
         of.URI: f"it announces the application URI {_quoted(application_uri)}, which its"
         " certificate does not name: issue that certificate again",
-    }.get(verdict)
+    }
+    sentence = sentences.get(verdict)
     if verdict is of.INVALID:
         sentence = "it presents no readable certificate"
     if sentence is None:
@@ -94,11 +95,12 @@ def policy_missing(
         f" ({e.SecurityMode.name})"
         for e in endpoints
     )
+    offered_names = ", ".join(list(offered)[:10]) or "nothing"
     return LinkRefusedError(
         FaultKind.SECURITY_POLICY,
         "endpoint",
         f"not connected: there is no endpoint with {wanted}; the server offers:"
-        f" {', '.join(list(offered)[:10]) or 'nothing'}; set security of the peer, or add the"
+        f" {offered_names}; set security of the peer, or add the"
         " policy there",
     )
 

@@ -172,8 +172,9 @@ class LinkSecurity:
         identity = self._identity
         assert identity is not None
         for endpoint in endpoints:
+            has_policy = endpoint.SecurityPolicyUri == identity.policy.URI
             if (
-                endpoint.SecurityPolicyUri == identity.policy.URI
+                has_policy
                 and endpoint.SecurityMode == identity.mode
                 and (endpoint.EndpointUrl or "").startswith("opc.tcp:")
             ):
@@ -249,10 +250,9 @@ def _identity(config: PeerConfig, opcua: OpcUaSettings, folder: Path) -> _Identi
     security = config.security
     ours = TrustList(folder / opcua.certificates)
     key_path = security.private_key or opcua.private_key
-    certificate, key = ours.own(
-        key_path and folder / key_path,
-        security.certificate and folder / security.certificate,
-    )
+    key_file = key_path and folder / key_path
+    certificate_file = security.certificate and folder / security.certificate
+    certificate, key = ours.own(key_file, certificate_file)
     if not application_uris(certificate):
         raise ConfigError(
             "our certificate names no application URI: make a new one with 'hilserver certs make'"

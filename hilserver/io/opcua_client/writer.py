@@ -57,10 +57,8 @@ class PeerWriter:
         self._status.writes_skipped += count
 
     async def _cycle(self) -> None:
-        if (
-            len(self._targets) < len(self._config.write)
-            and time.monotonic() >= self._look_again_s
-        ):
+        are_some_missing = len(self._targets) < len(self._config.write)
+        if are_some_missing and time.monotonic() >= self._look_again_s:
             await self._find_targets()
             self._look_again_s = time.monotonic() + LOOK_AGAIN_S
         try:

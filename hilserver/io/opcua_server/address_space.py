@@ -104,16 +104,17 @@ class AddressSpaceBuilder:
         place = NodePlace(self.node_id(path), name, parent, kinds.HasComponent)
         self._object(place, kinds.NamespaceMetadataType, uri)
         no_ranges = ua.Variant([], ua.VariantType.String, is_array=True)
+        id_types = (
+            "StaticNodeIdTypes",
+            ua.Variant([ids], ua.VariantType.Int32),
+            kinds.IdType,
+        )
         for entry, value, kind in (
             ("NamespaceUri", uri, kinds.String),
             ("NamespaceVersion", version, kinds.String),
             ("NamespacePublicationDate", _PUBLISHED, kinds.DateTime),
             ("IsNamespaceSubset", index == self._di_index, kinds.Boolean),
-            (
-                "StaticNodeIdTypes",
-                ua.Variant([ids], ua.VariantType.Int32),
-                kinds.IdType,
-            ),
+            id_types,
             ("StaticNumericNodeIdRange", no_ranges, kinds.NumericRange),
             ("StaticStringNodeIdPattern", "", kinds.String),
         ):
@@ -148,9 +149,8 @@ class AddressSpaceBuilder:
         kinds = ua.ObjectIds
         if row.eu_range is not None:
             low, high = row.eu_range
-            self.property(
-                row.path, "EURange", ua.Range(float(low), float(high)), kinds.Range
-            )
+            limits = ua.Range(float(low), float(high))
+            self.property(row.path, "EURange", limits, kinds.Range)
         if row.unit is not None:
             unit = eu_information(row.unit)
             self.property(row.path, "EngineeringUnits", unit, kinds.EUInformation)
@@ -290,9 +290,12 @@ class AddressSpaceBuilder:
 
 def eu_information(unit: Unit) -> ua.EUInformation:
     """Return a unit as OPC UA's EUInformation."""
+    namespace = UNITS_URI if unit.code else model.NAMESPACE_URI
+    shown = ua.LocalizedText(unit.symbol)
+    explained = ua.LocalizedText(unit.description)
     return ua.EUInformation(
-        NamespaceUri=UNITS_URI if unit.code else model.NAMESPACE_URI,
+        NamespaceUri=namespace,
         UnitId=unit.unit_id,
-        DisplayName=ua.LocalizedText(unit.symbol),
-        Description=ua.LocalizedText(unit.description),
+        DisplayName=shown,
+        Description=explained,
     )

@@ -76,13 +76,13 @@ class Diagnostics:
                 figures.items(), key=lambda row: row[0] != self._flat
             ):
                 path = f"{self._group}.{name}"
-                self._show(path if figure == self._flat else f"{path}.{figure}", value)
+                place = path if figure == self._flat else f"{path}.{figure}"
+                self._show(place, value)
         return self._table
 
     def _show(self, path: str, value: Figure) -> None:
-        if self._last.get(path, _NEVER) == value and type(self._last[path]) is type(
-            value
-        ):
+        is_equal = self._last.get(path, _NEVER) == value
+        if is_equal and type(self._last[path]) is type(value):
             return
         if path not in self._places and not self._add(path, value):
             return
@@ -127,17 +127,16 @@ class Diagnostics:
             grandparent, folder = model.split(parent)
             self._builder.folders([model.Folder(parent, grandparent, folder)])
             self._folders.add(parent)
-        self._builder.variable(
-            model.Variable(
-                path,
-                parent,
-                name,
-                "",
-                model.BASE_DATA_VARIABLE,
-                kind.value,
-                writable=False,
-            )
+        variable = model.Variable(
+            path,
+            parent,
+            name,
+            "",
+            model.BASE_DATA_VARIABLE,
+            kind.value,
+            writable=False,
         )
+        self._builder.variable(variable)
         self._places[path] = self._builder.value_of(self._builder.node_id(path))
         self._types[path] = kind
         return True

@@ -116,6 +116,9 @@ def variable_of(signal: Signal) -> Variable:
     elif is_ranged:
         type_definition = ANALOG_ITEM
     is_analog = type_definition in (ANALOG_ITEM, ANALOG_UNIT, ANALOG_UNIT_RANGE)
+    length = len(signal.slots) if signal.is_array else None
+    eu_range = (signal.low, signal.high) if is_analog and is_ranged else None
+    found_unit = find_unit(signal.unit) if has_unit else None
     return Variable(
         path=signal.name,
         parent=parent,
@@ -124,9 +127,9 @@ def variable_of(signal: Signal) -> Variable:
         type_definition=type_definition,
         data_type=DATA_TYPES[signal.type],
         writable=signal.writable,
-        length=len(signal.slots) if signal.is_array else None,
-        eu_range=(signal.low, signal.high) if is_analog and is_ranged else None,
-        unit=find_unit(signal.unit) if has_unit else None,
+        length=length,
+        eu_range=eu_range,
+        unit=found_unit,
         enum_strings=() if is_boolean else signal.labels,
         two_states=signal.labels if is_boolean else (),
     )
@@ -142,17 +145,22 @@ def _of_parameter(parameter: "Parameter") -> Variable:
         if parameter.names_text
         else ""
     )
+    description = text + (
+        "; a change needs a restart" if parameter.when == "restart" else ""
+    )
+    found_unit = UNECE.get(parameter.unit) or Unit(
+        parameter.unit, "", -1, parameter.unit
+    )
     return Variable(
         path=path,
         parent=parent,
         name=name,
-        description=text
-        + ("; a change needs a restart" if parameter.when == "restart" else ""),
+        description=description,
         type_definition=ANALOG_UNIT_RANGE,
         data_type=DATA_TYPES[ValueType.DOUBLE],
         writable=True,
         eu_range=(parameter.low, parameter.high),
-        unit=UNECE.get(parameter.unit) or Unit(parameter.unit, "", -1, parameter.unit),
+        unit=found_unit,
     )
 
 

@@ -108,15 +108,16 @@ class RobotEvents:
         self._clock = clock
         self._robot = builder.robot
         kinds = ua.ObjectIds
+        own_fields = (
+            ("Kind", kinds.String, ""),
+            ("MonotonicTime_ns", kinds.Int64, 0),
+            ("Suppressed", 7, 0),
+        )
         base = builder.event_type(
             f"types.{BASE_TYPE}",
             BASE_TYPE,
             ua.NodeId(kinds.BaseEventType),
-            (
-                ("Kind", kinds.String, ""),
-                ("MonotonicTime_ns", kinds.Int64, 0),
-                ("Suppressed", 7, 0),
-            ),
+            own_fields,
         )
         types = {
             kind: builder.event_type(f"types.{name}", name, base, ())
@@ -151,16 +152,19 @@ class RobotEvents:
 
     def _fields(self, event: Event, suppressed: int) -> dict[str, ua.Variant]:
         message = event.message + (f" (and {suppressed} more)" if suppressed else "")
+        received = ua.Variant(datetime.now(UTC), _Type.DateTime)
+        severity = ua.Variant(max(1, min(1000, event.severity)), _Type.UInt16)
+        text = ua.Variant(ua.LocalizedText(message), _Type.LocalizedText)
         return {
             "EventId": ua.Variant(uuid.uuid4().bytes, _Type.ByteString),
             "EventType": ua.Variant(self._types[event.kind], _Type.NodeId),
             "SourceNode": ua.Variant(self._robot, _Type.NodeId),
             "SourceName": ua.Variant(event.source, _Type.String),
             "Time": ua.Variant(self._clock.utc(event.monotonic_ns), _Type.DateTime),
-            "ReceiveTime": ua.Variant(datetime.now(UTC), _Type.DateTime),
+            "ReceiveTime": received,
             "LocalTime": ua.Variant(ua.TimeZoneDataType(), _Type.ExtensionObject),
-            "Message": ua.Variant(ua.LocalizedText(message), _Type.LocalizedText),
-            "Severity": ua.Variant(max(1, min(1000, event.severity)), _Type.UInt16),
+            "Message": text,
+            "Severity": severity,
             "Kind": ua.Variant(event.kind.value, _Type.String),
             "MonotonicTime_ns": ua.Variant(event.monotonic_ns, _Type.Int64),
             "Suppressed": ua.Variant(suppressed, _Type.UInt32),

@@ -77,17 +77,19 @@ class OpcUaServer(Part):
             who = "users"
         else:
             who = f"{config.anonymous_role.name.lower()}"
+        open_to: dict[str, Figure] = {
+            "ok": not is_open,
+            "found": f"{config.host}, {protection}, open to {who}",
+            "wanted": "loopback, or certificates and users",
+            "remedy": "see docs/how-to/secure-the-server.md" if is_open else "",
+        }
+        stamps: dict[str, Figure] = {
+            "ok": True,
+            "found": "simulated time" if self._world.clock.simulated else "UTC",
+        }
         return {
-            "opcua_access": {
-                "ok": not is_open,
-                "found": f"{config.host}, {protection}, open to {who}",
-                "wanted": "loopback, or certificates and users",
-                "remedy": "see docs/how-to/secure-the-server.md" if is_open else "",
-            },
-            "opcua_time_stamps": {
-                "ok": True,
-                "found": "simulated time" if self._world.clock.simulated else "UTC",
-            },
+            "opcua_access": open_to,
+            "opcua_time_stamps": stamps,
         }
 
     async def start(self) -> None:
@@ -146,11 +148,23 @@ class OpcUaServer(Part):
 
     supervise = publish_diagnostics
 
+    def _tables(self, builder: AddressSpaceBuilder) -> dict[str, Diagnostics]:
+        return {
+            group: Diagnostics(
+                builder,
+                group,
+                provider,
+                flat="ok" if group == "audit" else None,
+                every_s=_SLICES_EVERY_S if group == "slices" else 0.0,
+            )
+            for group, provider in self._providers.items()
+        }
+
     async def _build(self, server: HardenedServer) -> None:
         iserver = server.iserver
         world = self._world
-        uris = model.NAMESPACE_URI, model.DI_NAMESPACE_URI
-        robot_index, di_index = [await server.register_namespace(uri) for uri in uris]
+        robot_index = await server.register_namespace(model.NAMESPACE_URI)
+        di_index = await server.register_namespace(model.DI_NAMESPACE_URI)
         builder = AddressSpaceBuilder(iserver.node_mgt_service, robot_index, di_index)
         builder.roots()
         builder.namespaces()
@@ -169,17 +183,7 @@ class OpcUaServer(Part):
             builder.set_place(builder.node_id(name), signal_place)
         self._parameters = ParameterVariables(world.parameters, place)
         self._owner_place = place(model.CONTROL_SOURCE)
-        self._owner_shown = ""
-        self._diagnostics = {
-            group: Diagnostics(
-                builder,
-                group,
-                provider,
-                flat="ok" if group == "audit" else None,
-                every_s=_SLICES_EVERY_S if group == "slices" else 0.0,
-            )
-            for group, provider in self._providers.items()
-        }
+        self._diagnostics = self._tables(builder)
         self._robot_events = RobotEvents(
             builder,
             iserver.subscription_service,

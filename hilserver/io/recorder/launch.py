@@ -92,21 +92,19 @@ def recorder_inside(
     from hilserver.io.recorder.series import Settings  # noqa: PLC0415 -- likewise
 
     is_reported = False
-    recorder = Recorder(
-        image,
-        Settings(
-            path=folder / str(config.file),
-            signals=config.signals,
-            rotate_bytes=None
-            if config.rotate_mb is None
-            else round(config.rotate_mb * 1e6),
-            keep=config.keep,
-            max_bytes=config.max_mb * 1e6,
-            keep_free_bytes=config.keep_free_mb * 1e6,
-            buffer_bytes=round(config.buffer_mb * 1e6),
-            waits=True,
-        ),
+    settings = Settings(
+        path=folder / str(config.file),
+        signals=config.signals,
+        rotate_bytes=None
+        if config.rotate_mb is None
+        else round(config.rotate_mb * 1e6),
+        keep=config.keep,
+        max_bytes=config.max_mb * 1e6,
+        keep_free_bytes=config.keep_free_mb * 1e6,
+        buffer_bytes=round(config.buffer_mb * 1e6),
+        waits=True,
     )
+    recorder = Recorder(image, settings)
 
     def look() -> None:
         nonlocal is_reported

@@ -13,7 +13,7 @@ from hilserver.io.recorder.source import FrameSource
 from hilserver.io.recorder.thinning import Thinner
 from hilserver.io.recorder.write_behind import NextFile, WriteBehind
 from hilserver.logs.provenance import make_run
-from hilserver.logs.writer import Segmented, size_of
+from hilserver.logs.writer import size_of
 from hilserver.logs.writing import check_suffix
 
 POLL_S = 0.02
@@ -157,7 +157,18 @@ class Recorder:
             self._writing.put(state)
         dropped = False
         while (batch := self._source.frames()) is not None:
-            self._rotate(batch)
+            # Begin the next file when the present one is long enough.
+            first = int(batch.frames.ticks[0])
+            last = int(batch.frames.ticks[-1])
+            began = self._file_began
+            if not 0 < began <= first:  # the first batch, or time has gone back
+                self._file_began = first
+            elif (
+                self._rotate_s is not None
+                and (last - began) * self._period_s >= self._rotate_s
+            ):
+                self._file_began = first
+                self._writing.put(NextFile())
             self._seen += len(batch.frames)
             if self._thinner is not None:
                 batch = self._thinner.thinned(batch)
@@ -166,20 +177,6 @@ class Recorder:
             )
         if dropped or self._source.lost > self._reported[0]:
             self._want_state()
-
-    def _rotate(self, batch: Segmented) -> None:
-        """Begin the next file when the present one is long enough."""
-        first = int(batch.frames.ticks[0])
-        last = int(batch.frames.ticks[-1])
-        began = self._file_began
-        if not 0 < began <= first:  # the first batch, or time has gone back
-            self._file_began = first
-        elif (
-            self._rotate_s is not None
-            and (last - began) * self._period_s >= self._rotate_s
-        ):
-            self._file_began = first
-            self._writing.put(NextFile())
 
     def _want_state(self) -> None:
         if self._asked_s is None:
@@ -199,7 +196,8 @@ class Recorder:
         if counts != self._reported and now_s - self._reported_s > SAY_AGAIN_S:
             self._reported = counts
             self._reported_s = now_s
-            _say(f"{_losses(*counts)} so far")
+            text = f"{_losses(*counts)} so far"
+            print(f"hilserver: {text}", file=sys.stderr, flush=True)
 
     def _growth(self, n_bytes: int) -> str:
         """Return how fast the file grows; empty while there is too little of it to say."""
@@ -232,7 +230,3 @@ def _losses(lost: int, dropped: int) -> str:
     if not lost and not dropped:
         return "none lost"
     return f"{lost} frames lost (read too late), {dropped} dropped (disk too slow)"
-
-
-def _say(text: str) -> None:
-    print(f"hilserver: {text}", file=sys.stderr, flush=True)

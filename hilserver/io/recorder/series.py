@@ -96,9 +96,8 @@ class FileSeries:
         if self._rotate_bytes is not None or not complete:
             n_bytes = complete * (self._rotate_bytes or 0) + writer.n_bytes
         else:
-            n_bytes = sum(
-                size_of(self._file(n)) for n in self._numbers()[-complete - 1 :]
-            )
+            newest = self._numbers()[-complete - 1 :]
+            n_bytes = sum(size_of(self._file(n)) for n in newest)
         if n_bytes >= self._settings.max_bytes:
             raise FailedError(
                 f"{self.current}: the recording has ended at {n_bytes / 1e6:.0f} MB, its limit; see"

@@ -174,9 +174,8 @@ class FrameSource:
         regions = self.description["regions"]
         names = self.description["run"]["parameters"]
         first = regions["parameters"][0] - regions["p"][0]
-        return dict(
-            zip(names, packed[first : first + len(names)].tolist(), strict=True)
-        )
+        numbers = packed[first : first + len(names)].tolist()
+        return dict(zip(names, numbers, strict=True))
 
     def state(self) -> RecordedState | None:
         """Return the newest state that was saved or restored, None if there is no new one."""

@@ -29,11 +29,10 @@ class Thinner:
         """Return the frames to write, up to the one before the newest; possibly none."""
         whole = batch if self._held is None else _joined(self._held, batch)
         # As bits, NaN equals itself.
+        bits = whole.frames.values[:, self._slots].view(np.int64)
+        codes = whole.frames.status[:, self._slots]
         seen = np.concatenate(
-            [
-                whole.frames.values[:, self._slots].view(np.int64),
-                whole.frames.status[:, self._slots],
-            ],
+            [bits, codes],
             axis=1,
         )
         changed = np.full(len(seen), self._is_kept)

@@ -242,7 +242,8 @@ class ShieldLink(Part):
         if is_new:
             self._world.gate.leases.limit(NAME, self.device.limit_ns * 1e-6)
         while words[w.RING_TAIL] < words[w.RING_HEAD]:
-            row = w.RING_ROWS + 4 * (int(words[w.RING_TAIL]) & (w.WAITING_MOST - 1))
+            number = int(words[w.RING_TAIL]) & (w.WAITING_MOST - 1)
+            row = w.RING_ROWS + 4 * number
             command, flags, payload, received_ns = words[row : row + 4].tolist()
             words[w.RING_TAIL] += 1
             if self._received_ns is not None:

@@ -29,12 +29,17 @@ def distribution(name: str, margins: Array, unit: str) -> Figure | None:
         return None
     low, high = span_of(finite, np.zeros(1))
     # One edge is at zero, so that no bar mixes passing and failing machines.
-    width = (high - low) / min(MOST_BARS, max(int(2 * len(finite) ** (1 / 3)), 8))
-    edges = np.arange(np.floor(low / width), np.ceil(high / width) + 1) * width
+    wanted = max(int(2 * len(finite) ** (1 / 3)), 8)
+    width = (high - low) / min(MOST_BARS, wanted)
+    first = np.floor(low / width)
+    last = np.ceil(high / width) + 1
+    edges = np.arange(first, last) * width
     counts, _ = np.histogram(finite, edges)
+    x_span = (float(edges[0]), float(edges[-1]))
+    y_span = (0.0, float(counts.max()) * 1.06)
     plot = Plot(
-        x=(float(edges[0]), float(edges[-1])),
-        y=(0.0, float(counts.max()) * 1.06),
+        x=x_span,
+        y=y_span,
         x_label=f"margin{unit_text(unit)}",
         y_label="machines",
         height=250.0,
@@ -68,11 +73,13 @@ def failing_region(
     first, second = axes[:2]
     x = table.parameters[first]
     y = table.parameters[second]
+    x_label = first + unit_text(units[first])
+    y_label = second + unit_text(units[second])
     plot = Plot(
         x=span_of(x[driven]),
         y=span_of(y[driven]),
-        x_label=first + unit_text(units[first]),
-        y_label=second + unit_text(units[second]),
+        x_label=x_label,
+        y_label=y_label,
         height=340.0,
     )
     _shares(plot, x[driven], y[driven], margins[driven] < 0.0)
@@ -99,9 +106,11 @@ def _shares(plot: Plot, x: Array, y: Array, fails: NDArray[np.bool_]) -> None:
     failed, _, _ = np.histogram2d(x[fails], y[fails], (x_edges, y_edges))
     for i, j in zip(*np.nonzero(failed), strict=True):
         share = failed[i, j] / (total[i, j] + 1.0)  # one machine alone says little
+        x_cell = (x_edges[i], x_edges[i + 1])
+        y_cell = (y_edges[j], y_edges[j + 1])
         plot.cell(
-            (x_edges[i], x_edges[i + 1]),
-            (y_edges[j], y_edges[j + 1]),
+            x_cell,
+            y_cell,
             "fails",
             0.5 * share,
         )

@@ -50,6 +50,9 @@ def render(table: MachineTable) -> str:
     low, high = exact_interval(table.count(PASSED), n)
     drawn = [distribution(j.name, table.margins[j.name], j.unit) for j in judged]
     maps = [failing_region(table, j.name, j.influences, units) for j in judged]
+    figures = [figure for figure in drawn if isinstance(figure, Figure)]
+    pictures = [figure for figure in maps if isinstance(figure, Figure)]
+    computed = sum(bool(computer) for computer in table.computer)
     return (
         _environment()
         .get_template("sweep.html.j2")
@@ -63,12 +66,12 @@ def render(table: MachineTable) -> str:
             interval=(low, high),
             judged=judged,
             units=units,
-            figures=[figure for figure in drawn if isinstance(figure, Figure)],
-            maps=[figure for figure in maps if isinstance(figure, Figure)],
+            figures=figures,
+            maps=pictures,
             worst=_worst(table),
             errors=_counted(table, ERROR),
             refused=_counted(table, REFUSED),
-            mixed=sum(bool(computer) for computer in table.computer),
+            mixed=computed,
             version=__version__,
         )
     )
@@ -91,16 +94,21 @@ def _judged(table: MachineTable, name: str, n: int) -> JudgedRequirement:
     else:
         faults = {}
     finite = np.where(np.isneginf(margins), np.nan, margins)
+    unit = table.about["requirement_units"].get(name, "")
+    median = float(np.median(driven)) if len(driven) else np.nan
+    least = float(driven.min()) if len(driven) else np.nan
+    influence = influences({**table.parameters, **faults}, finite)[:MOST_INFLUENCES]
+    share = met / max(n, 1)
     return JudgedRequirement(
         name,
-        table.about["requirement_units"].get(name, ""),
+        unit,
         met,
-        met / max(n, 1),
+        share,
         low,
         high,
-        float(np.median(driven)) if len(driven) else np.nan,
-        float(driven.min()) if len(driven) else np.nan,
-        influences({**table.parameters, **faults}, finite)[:MOST_INFLUENCES],
+        median,
+        least,
+        influence,
     )
 
 
