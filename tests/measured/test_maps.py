@@ -121,3 +121,12 @@ def test_a_mapping_says_that_a_map_shows_the_pose(tmp_path):
 
     mapping.write_text("channels:\n" + mapped)
     assert "nav.yaw_rad" in read_measured([path], mapping)
+
+
+def test_a_robot_that_starts_and_stops_at_once_does_not_jump():
+    log = drive()
+    t_s = log["nav.yaw_rad"].t_s
+    starts = np.cumsum(np.where(t_s % 5.0 < 2.0, 0.1, 0.0))
+    yaw = np.angle(np.exp(1j * starts))
+    log = log.with_channels({"nav.yaw_rad": log["nav.yaw_rad"].with_values(yaw)})
+    assert cut_at_corrections(log) is log
