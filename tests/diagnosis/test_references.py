@@ -45,7 +45,7 @@ SHOWN = {
         "nav_lever_arm.x": 0.25,
     },
     "3 m": {
-        "rotation_gain": 0.5,
+        "rotation_gain": 0.3,
         "wheel_radius_difference": 0.2,
         "nav_lever_arm.x": 1.0,
     },
@@ -100,7 +100,7 @@ def found_in(log):
 def named(found):
     """Return the causes of each finding about the robot."""
     faults = (Verdict.DATA_FAULT, Verdict.INSUFFICIENT_EXCITATION)
-    return [f.causes for f in found.findings if f.verdict not in faults]
+    return [f.causes for f in found.findings if f.causes and f.verdict not in faults]
 
 
 def test_satellites_of_half_a_metre_show_a_robot_that_turns_too_little():
@@ -137,5 +137,5 @@ def test_many_machines(kind):
 @pytest.mark.long
 @pytest.mark.parametrize("kind", SHOWN)
 def test_many_sound_machines(kind):
-    found = {seed: named(found_in(seen(kind, seed))) for seed in range(1000, 1100)}
+    found = {seed: found_in(seen(kind, seed)).findings for seed in range(1000, 1100)}
     assert not {seed: one for seed, one in found.items() if one}
