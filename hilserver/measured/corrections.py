@@ -22,6 +22,7 @@ OF_A_MAP: Final = (
     "the pose is that of a map: its error lasts, so many poses say hardly more than a few, and what"
     " the map distorts everywhere alike it does not show"
 )
+NEAR: Final = 3  # steps on either side that show how the robot moves
 AROUND_JUMP: Final = (
     4  # samples on either side of a jump; one that comes back within is a wild one
 )
@@ -76,11 +77,12 @@ def _jumps(values: Array, least: float) -> tuple[Indices, float]:
     step = np.diff(values)
     if len(step) <= 2 * AROUND_JUMP:
         return np.zeros(0, dtype=np.int64), 0.0
-    # beyond the steps around it, which show how fast the robot moves
-    padded = np.pad(step, AROUND_JUMP, mode="reflect")
-    near = np.lib.stride_tricks.sliding_window_view(padded, 2 * AROUND_JUMP + 1)
-    beyond = step - np.median(near, axis=1)
-    sd = TO_SD * float(np.median(np.abs(beyond)))
+    # Beyond the steps before and after it; a robot that starts or stops stays between them.
+    padded = np.pad(step, NEAR, mode="reflect")
+    near = np.lib.stride_tricks.sliding_window_view(padded, 2 * NEAR + 1)
+    sides = np.stack([np.median(near[:, :NEAR], 1), np.median(near[:, -NEAR:], 1)])
+    beyond = step - np.clip(step, sides.min(axis=0), sides.max(axis=0))
+    sd = TO_SD * float(np.median(np.abs(step - sides.mean(axis=0))))
     size = np.abs(beyond)
     high = np.flatnonzero(size > max(CORRECTION_SD * sd, least))
     kept = []

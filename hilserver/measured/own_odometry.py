@@ -47,9 +47,8 @@ def without_own_odometry(log: MeasuredLog) -> MeasuredLog:
     if not gone:
         return log
     return log.without(gone).noticed(
-        f"{' and '.join(gone)} are not used: they repeat the noise of the wheel speeds, so they are"
-        " the odometry of these wheels, which shows none of their errors; map a pose that was"
-        " measured"
+        f"left out: {', '.join(gone)}, which repeats the noise of the wheel speeds: it is the"
+        " odometry of these wheels and shows none of their errors; map a pose that was measured"
     )
 
 

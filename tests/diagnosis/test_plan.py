@@ -32,7 +32,7 @@ from hilserver.diagnosis.plan.pieces import MARGIN_M, of_moves, pieces
 from hilserver.diagnosis.plan.planning import PLAN, SCENARIO
 from hilserver.diagnosis.plan.search import choose
 from hilserver.faults.scenario import as_yaml
-from hilserver.measured.channels import SETPOINTS
+from hilserver.measured.channels import POSITION, SETPOINTS
 from hilserver.measured.reading import read_measured
 from hilserver.testing.opening import open_hil
 
@@ -115,6 +115,18 @@ def test_what_is_not_recorded_is_not_judged():
     assert any(
         {"rotation_gain", "gyro_scale"} <= set(group) for group in outlook.groups
     )
+
+
+def test_a_position_by_satellites_is_off_for_long():
+    off_m = []
+    for rng in (None, np.random.default_rng(1)):
+        recording = PlannedRecording(POSITION, satellites_m=2.0)
+        log = null_log([CIRCLE], ROBOT, recording, rng)
+        assert log.pose_errors_last
+        off_m.append(log[POSITION[0]].values)
+    error = off_m[1] - off_m[0]
+    assert abs(error.mean()) > 0.3  # the length of the drive does not average it away
+    assert 0.1 < np.diff(error).std() < 1.0
 
 
 def test_twice_the_drive_shows_less_than_twice_as_small():

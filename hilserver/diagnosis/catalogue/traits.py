@@ -18,6 +18,7 @@ class Need(StrEnum):
     VOLTAGE = "no battery voltage in the log"
     POSITION = "no position in the log"
     PLACE = "the navigation frame changes with every segment"
+    STEADY = "the error of the reference lasts: it looks like an effect of the place"
     YAW = "no navigation yaw in the log"
     GYRO = "no turn rate in the log"
     STAMPS = "the log has no time stamps"
@@ -90,9 +91,9 @@ TRAITS: Final[Mapping[str, Traits]] = MappingProxyType({
     "side_slip": Traits(needs=(Need.POSITION,)),
     "icr_offset": Traits(needs=(Need.POSITION,)),
     "wheel_misalignment": Traits(needs=(Need.POSITION,)),
-    "floor_slope": Traits(needs=(Need.POSITION, Need.PLACE)),
+    "floor_slope": Traits(needs=(Need.POSITION, Need.PLACE, Need.STEADY)),
     "surface_change": Traits(
-        needs=(Need.POSITION, Need.PLACE),
+        needs=(Need.POSITION, Need.PLACE, Need.STEADY),
         of_a_place=True,
         everywhere=("rotation_gain", "nav_scale"),
     ),
@@ -112,7 +113,7 @@ TRAITS: Final[Mapping[str, Traits]] = MappingProxyType({
     "nav_scale": Traits(
         needs=(Need.POSITION,), mirrored_by="traction_slip", field=POSITION_FIELD
     ),
-    "nav_position_bias": Traits(needs=(Need.POSITION, Need.PLACE)),
+    "nav_position_bias": Traits(needs=(Need.POSITION, Need.PLACE, Need.STEADY)),
     "nav_outliers": Traits(needs=(Need.POSITION,)),
     "heading_distortion": Traits(needs=(Need.PLACE, Need.YAW)),
     "gyro_bias": Traits(needs=(Need.GYRO,), at_rest=True),

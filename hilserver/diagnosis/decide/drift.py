@@ -98,10 +98,11 @@ def with_drift(library: Library, point: Point, rng: np.random.Generator) -> Drif
     A cause that drifts about its configured value has no mean effect, so that selection does not
     see it. Other drifts can look like part of the floor or a weaker battery.
     """
-    first = point
-    if (
-        library.problem.stack.n_blocks < 2 * PARTS_OF_LOG
-    ):  # too few: a change would be noise
+    first, stage = point, library.problem.stage
+    # the error of satellites or a map changes along the log itself
+    wanders = stage.log.pose_errors_last and stage.block == "kinematics"
+    too_few = library.problem.stack.n_blocks < 2 * PARTS_OF_LOG
+    if wanders or too_few:  # a change would be noise
         return Drifting(point, {}, 0.0)
     point = _taken_up(library, point, rng)
     p = drifting(library.problem, point, rng)

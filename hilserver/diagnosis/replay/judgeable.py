@@ -75,6 +75,7 @@ HOLDS: Final[Mapping[Need, Callable[[MeasuredLog], bool]]] = {
     Need.VOLTAGE: lambda log: VOLTAGE in log,
     Need.POSITION: lambda log: log.has(*POSITION),
     Need.PLACE: lambda log: not begins_anew(log),
+    Need.STEADY: lambda log: not log.pose_errors_last,
     Need.YAW: lambda log: YAW in log,
     Need.GYRO: lambda log: GYRO in log,
     Need.STAMPS: lambda log: log.has_stamps,

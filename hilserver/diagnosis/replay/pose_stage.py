@@ -81,7 +81,14 @@ class PoseStage(Stage):
     block = "kinematics"
     memoryless = False
     follows_setpoints = False
-    needs = (Need.POSITION, Need.PLACE, Need.YAW, Need.GYRO, Need.STAMPS)
+    needs = (
+        Need.POSITION,
+        Need.PLACE,
+        Need.STEADY,
+        Need.YAW,
+        Need.GYRO,
+        Need.STAMPS,
+    )
     quantities: ClassVar = {"gyro_z_rad_s": (GYRO,)}
 
     def __init__(

@@ -127,6 +127,15 @@ def test_a_segment_is_that_of_the_log_also_where_a_pause_cuts_it(tmp_path):
         assert [placed.span for placed in with_marks(log, file).marks] == [span]
 
 
+@pytest.mark.parametrize(("sd_m", "is_asked"), [(0.05, False), (5, True)])
+def test_a_deviation_of_metres_is_asked_about(tmp_path, sd_m, is_asked):
+    path = tmp_path / "marks.yaml"
+    path.write_text(f"marks: [{{t_s: 1, x_m: 0, y_m: 0, sd_m: {sd_m}}}]\n")
+    log = with_marks(squares(Machine(), TAPE, 1, RUNS)[0], path)
+    asked = [note for note in log.notices if "write metres, as 0.005" in note]
+    assert bool(asked) is is_asked
+
+
 def test_a_pose_shows_more_than_marks(tmp_path):
     log, _ = squares(Machine(), TAPE, 1, RUNS)
     posed = log.with_channels({"nav.x_m": log["wheel.fl.speed_rpm"]})
