@@ -4,6 +4,7 @@ import argparse
 
 from hilserver.body.export import robot_mjcf, robot_urdf
 from hilserver.commands.options import add_config, config_path, out_file, write_text
+from hilserver.config.plant import check_apart
 from hilserver.daemon.assembly import assemble
 from hilserver.errors import EXIT_DONE
 
@@ -23,6 +24,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the robot of a configuration; needs no extra."""
     assembly = assemble(config_path(args))
+    if args.format == "mjcf":  # its wheels touch what they meet
+        check_apart(assembly.robot)
     text = _FORMATS[args.format](assembly.body)
     if args.out is None:
         print(text, end="")

@@ -234,3 +234,14 @@ def _period_s(periods: Mapping[str, float], key: str, name: str) -> float:
         known = ", ".join(periods)
         raise PlantError(f"{key}: there is no slice {name!r}; the slices are {known}.")
     return periods[name]
+
+
+def check_apart(robot: RobotParameters) -> None:
+    """PlantError if front and rear wheels are in each other's place: as bodies they would jam."""
+    diameter_m = 2.0 * robot.wheel_radius_m
+    if robot.wheelbase_m is not None and robot.wheelbase_m < diameter_m:
+        raise PlantError(
+            f"plant.wheelbase_m: {robot.wheelbase_m:g} m is less than a wheel's diameter,"
+            f" {diameter_m:g} m, so front and rear wheels would overlap: give the distance between"
+            " the axles, or null for one axle"
+        )

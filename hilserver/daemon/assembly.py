@@ -19,7 +19,7 @@ from hilserver.config.observer import DEFAULT_SLICE as OBSERVER_SLICE
 from hilserver.config.observer import constants_of, load_found
 from hilserver.config.patch import Patch, load_patch
 from hilserver.config.peers import check_peers, check_signals
-from hilserver.config.plant import to_parameters
+from hilserver.config.plant import check_apart, to_parameters
 from hilserver.config.root import Config, load_config
 from hilserver.config.ros2 import REAL_ROBOT
 from hilserver.config.timing import COMMUNICATION_SLICES
@@ -226,6 +226,7 @@ class _AssemblyBuilder:
         if not section.enabled:
             return None
         try:
+            check_apart(robot)
             return BodyEngine(section.body(robot, periods_s[section.slice]))
         except PlantError as error:
             key, _, rest = str(error).partition(": ")

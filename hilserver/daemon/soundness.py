@@ -15,6 +15,7 @@ from typing import Final, NamedTuple
 from urllib.parse import urlsplit
 
 from hilserver.config.loading import MAX_COMPLAINTS, place
+from hilserver.config.plant import check_apart
 from hilserver.daemon.assembled import Assembly
 from hilserver.errors import ConfigError, meant
 from hilserver.io.edge.payload import collections_of
@@ -23,6 +24,7 @@ from hilserver.io.opcua_server.model import CONTROL_SOURCE, PARAMETERS
 from hilserver.io.opcua_server.model import describe as address_space
 from hilserver.io.s7.blocks import blocks_of
 from hilserver.opcua.loopback import is_loopback
+from hilserver.plant.errors import PlantError
 from hilserver.plant.layout import WHEELS
 
 _EVERYWHERE: Final = ("0.0.0.0", "::", "")  # noqa: S104 - compared, not listened on
@@ -142,6 +144,15 @@ def dead_drive(assembly: Assembly) -> Iterator[Complaint]:
     if gains.k_p == gains.k_i == 0.0:
         text = "k_p and k_i are both 0, so no set-point ever moves a wheel; set at least one"
         yield Complaint(("plant", "controller", "k_i"), text)
+
+
+def overlapping_wheels(assembly: Assembly) -> Iterator[Complaint]:
+    """Yield axles that are closer than their wheels allow, as where the default was left."""
+    try:
+        check_apart(assembly.robot)
+    except PlantError as error:
+        _, _, rest = str(error).partition(": ")
+        yield Complaint(("plant", "wheelbase_m"), rest)
 
 
 def slow_drive(assembly: Assembly) -> Iterator[Complaint]:
@@ -293,7 +304,7 @@ IMPOSSIBLE: Final = (
     impossible_time,
     mute_sources,
 )
-DOUBTFUL: Final = (slow_drive, doubtful_peers, idle_keys)
+DOUBTFUL: Final = (overlapping_wheels, slow_drive, doubtful_peers, idle_keys)
 
 
 def check_sound(assembly: Assembly) -> None:

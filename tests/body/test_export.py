@@ -133,3 +133,16 @@ def test_the_robot_stands_and_drives_in_mujoco(
     assert 0.1 < x_m < 2 * 3.0 * radius_m
     assert abs(y_m) < 0.01
     assert z_m == pytest.approx(height_m, abs=0.003)
+
+
+def test_wheels_in_each_other_s_place_are_refused_where_they_would_jam(
+    tmp_path, capsys
+):
+    """The wheels of a Husky at the axles of an IOT Bot: the MJCF could not drive."""
+    config = tmp_path / "config.yaml"
+    config.write_text("plant: {wheel_radius_m: 0.165, track_m: 0.55}")
+    says = "plant.wheelbase_m: 0.25 m is less than a wheel's diameter, 0.33 m, so front"
+    assert main(["model", "-c", str(config), "--format", "mjcf"]) == 78
+    assert says in capsys.readouterr().err
+    assert main(["check", "-c", str(config)]) == EXIT_DONE
+    assert says in "".join(capsys.readouterr())
