@@ -20,8 +20,11 @@ FOLDER = Path(__file__).parents[1] / "foreign_client"
 PERIODS_MS, QUEUES = (50, 100, 250, 500, 1000), (1, 2, 10)
 ROWS = list(itertools.product(PERIODS_MS, QUEUES))
 WATCHED_S = 6.0
-LEAST_SHARE = 0.2
-"""Of the periods. Items that died had 0.1 at most; a busy computer serves 50 ms in 0.46 of them."""
+LEAST_SHARE = 0.25
+"""Of the periods, or of what the client's best item got where the computer is too busy for them.
+
+Items that died had 0.1 at most.
+"""
 
 
 class Notes:
@@ -79,13 +82,34 @@ async def watch_with(rig: Rig, program: str, file: str) -> dict[str, list[float]
     return json.loads(done.stdout.strip().splitlines()[-1])
 
 
-def share_served(at_s: list[float], period_s: float) -> float:
-    """Return the share of the periods in which something arrived; 0 if they ended half-way."""
+def messages_per_s(at_s: list[float], period_s: float) -> float:
+    """Return how often something arrived; 0 if it ended half-way."""
     span_s = at_s[-1] - at_s[0] if at_s else 0.0
     if span_s < WATCHED_S / 2:
         return 0.0
     messages = sum(b - a > period_s / 2 for a, b in itertools.pairwise(at_s))
-    return messages * period_s / span_s
+    return messages / span_s
+
+
+def poor(rows: dict[str, list[float]]) -> dict[str, float]:
+    """Return what a client got too rarely, with its share."""
+    periods_s = {key: int(key.split()[1]) / 1e3 for key in rows}
+    rates = {key: messages_per_s(at_s, periods_s[key]) for key, at_s in rows.items()}
+    best = max(rates.values())
+    shares = {
+        key: rate / (min(1.0 / periods_s[key], best) or 1.0)
+        for key, rate in rates.items()
+    }
+    return {key: share for key, share in shares.items() if share < LEAST_SHARE}
+
+
+def test_an_item_that_died_is_poor_however_busy_the_computer_was() -> None:
+    for per_s in (20.0, 3.0):
+        alive = [n / per_s for n in range(int(6 * per_s))]
+        slow = [float(n) for n in range(6)]
+        rows = {"data 50 1": alive, "data 50 2": alive[::10], "data 1000 1": slow}
+        assert set(poor(rows)) == {"data 50 2"}
+    assert set(poor({"data 50 1": []})) == {"data 50 1"}
 
 
 async def drive(rig: Rig) -> None:
@@ -118,13 +142,5 @@ def test_every_period_is_served_to_every_client_whatever_its_queue(
 ) -> None:
     with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
         found = runner.run(watch(tmp_path))
-    shares = {
-        f"{client} {key}": share_served(at_s, int(key.split()[1]) / 1e3)
-        for client, rows in found.items()
-        for key, at_s in rows.items()
-    }
-    assert len(shares) == 3 * 2 * len(ROWS)
-    poor = {
-        key: round(share, 2) for key, share in shares.items() if share < LEAST_SHARE
-    }
-    assert not poor
+    assert all(len(rows) == 2 * len(ROWS) for rows in found.values())
+    assert not {client: few for client, rows in found.items() if (few := poor(rows))}
