@@ -39,20 +39,30 @@ class DomainWatch:
             self._faults.report(kind, topic, sentence, time.monotonic_ns())
         self._status.apart = len(apart)
 
-        self._look_at_endpoints(topics, {topic for _, topic, _ in apart})
+        unfit = dict(self._neighbours.incompatible(ours))
+        for subject, sentence in unfit.items():
+            self._report(Ros2Fault.INCOMPATIBLE_QOS, subject, sentence)
+
+        known = {topic for _, topic, _ in apart}
+        known |= {f"rt{subject.partition(' ')[0]}" for subject in unfit}
+        self._look_at_endpoints(topics, known)
         self._look_at_neighbours(ours, services)
 
-    def _look_at_endpoints(self, topics: Endpoints, apart: Collection[str]) -> None:
-        """Count matched endpoints, losses, and those that will never match."""
+    def _look_at_endpoints(self, topics: Endpoints, known: Collection[str]) -> None:
+        """Count matched endpoints, losses, and those that will never match.
+
+        Of topics that are `known`, somebody has said why not.
+        """
         status, matched = self._status, 0
         for name, endpoint in topics:
             matched += endpoint.matched
             key = f"{name} {endpoint.subject.type}"
             grows = self._grows(f"qos {key}", endpoint.incompatible)
-            if (
-                grows and endpoint.subject.topic not in apart
-            ):  # else its type is what does not fit
-                sentence = f"a node's quality of service for {name} is incompatible: no data flows"
+            if grows and endpoint.subject.topic not in known:
+                sentence = (
+                    f"a node's quality of service for {name} is incompatible, so no data flows:"
+                    f" compare deadline and liveliness by 'ros2 topic info --verbose {name}'"
+                )
                 self._report(Ros2Fault.INCOMPATIBLE_QOS, name, sentence)
             if isinstance(endpoint, In) and (
                 more := self._grows(f"lost {key}", endpoint.lost)

@@ -187,6 +187,31 @@ class Neighbours:
                     )
                     yield Apart.TYPE_REFUSED, subject.topic, text
 
+    def incompatible(self, ours: Sequence[In | Out]) -> Iterator[tuple[str, str]]:
+        """Yield whose quality of service keeps messages of a topic back: topic, sentence.
+
+        It lasts until one of the two endpoints is gone, as no endpoint changes these policies.
+        """
+        for endpoint in ours:
+            reads = isinstance(endpoint, In)
+            subject = endpoint.subject
+            others = self.writers if reads else self.readers
+            for other in others.values():
+                if (other.topic, other.type) != (subject.topic, subject.type):
+                    continue
+                missing = _not_offered(endpoint, other)
+                if not missing:
+                    continue
+                topic, who = plain(subject.topic), self.label(other.participant)
+                asks, offers = ("the robot", who) if reads else (who, "the robot")
+                more, less = _WORDS[missing[0]]
+                remedy = f"write {topic} {more}" if reads else f"read {topic} {less}"
+                yield (
+                    f"{topic} {missing[0]}",
+                    f"no data flows on {topic}: {asks} asks for {more}, {offers} offers {less};"
+                    f" let {who} {remedy}",
+                )
+
     def has_our_fields(self, writer: int, subject: TopicInfo) -> bool:
         """Whether a writer's messages are what we take them for; `apart` tells if not.
 
@@ -214,14 +239,8 @@ class Neighbours:
 
     def _should_fit(self, ours: In | Out, other: RemoteEndpoint) -> bool:
         """Whether they have had time to match, and offer what the other side requests."""
-        qos = ours.subject.qos
-        mine = qos.reliable, qos.latched
-        theirs = other.is_reliable, other.is_latched
-        offered, requested = (theirs, mine) if isinstance(ours, In) else (mine, theirs)
-        fits = all(
-            has or not asks for has, asks in zip(offered, requested, strict=True)
-        )
-        return fits and self.now_ns() - other.since_ns > SETTLED_NS
+        is_settled = self.now_ns() - other.since_ns > SETTLED_NS
+        return is_settled and not _not_offered(ours, other)
 
     def strangers(self, ours: Iterable[In | Out]) -> Iterator[Neighbour]:
         """Yield those of which nothing matches, once they have had time for it."""
@@ -255,6 +274,25 @@ def other_domains(ours: int, udp: Path = Path("/proc/net/udp")) -> list[int]:
 def plain(topic: str) -> str:
     """Return the name of a topic in DDS for people."""
     return topic[2:] if topic[:3] in ("rt/", "rq/", "rr/") else topic
+
+
+_WORDS: Final = {
+    "reliability": ("RELIABLE", "BEST_EFFORT"),
+    "durability": ("TRANSIENT_LOCAL", "VOLATILE"),
+}
+
+
+def _not_offered(ours: In | Out, other: RemoteEndpoint) -> list[str]:
+    """Return the policies of which the reader of two endpoints requests more than is offered."""
+    qos = ours.subject.qos
+    mine = qos.reliable, qos.latched
+    theirs = other.is_reliable, other.is_latched
+    offered, requested = (theirs, mine) if isinstance(ours, In) else (mine, theirs)
+    return [
+        policy
+        for policy, has, asks in zip(_WORDS, offered, requested, strict=True)
+        if asks and not has
+    ]
 
 
 def _has_other_fields(other: RemoteEndpoint, subject: TopicInfo) -> bool:

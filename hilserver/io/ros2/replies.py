@@ -12,9 +12,10 @@ import socket
 import struct
 import time
 from collections import Counter, deque
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
-from hilserver.io.ros2.neighbours import Neighbours, RemoteEndpoint
+from hilserver.io.ros2.neighbours import Neighbours, RemoteEndpoint, plain
 from hilserver.io.ros2.participant import Arrival, Out
 
 _MAGIC: Final = b"RTPS\x02\x03\x01\x10"  # protocol 2.3, vendor Cyclone DDS
@@ -40,10 +41,23 @@ class _Reply(NamedTuple):
 
 
 class Replies:
-    """Counts requests and sends replies, for every service of the node."""
+    """Counts requests and sends replies, for every service of the node.
 
-    def __init__(self, neighbours: Neighbours, *, local: bool) -> None:
+    Parameters
+    ----------
+    given_up : callable
+        Takes the topic of a reply that will not be sent, and a sentence.
+    """
+
+    def __init__(
+        self,
+        neighbours: Neighbours,
+        given_up: Callable[[str, str], None],
+        *,
+        local: bool,
+    ) -> None:
         self._neighbours, self._local = neighbours, local
+        self._given_up = given_up
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._asked: Counter[int] = Counter()  # requests by writer
@@ -60,6 +74,8 @@ class Replies:
 
     def send(self, service: Out, request: Arrival, number: int, cdr: bytes) -> None:
         """Reply to the client that has sent a request, as soon as its reader is known."""
+        if len(self._waiting) == MOST_WAITING:
+            self._give_up(self._waiting[0])
         end_s = time.monotonic() + KNOWN_WITHIN_S
         self._waiting.append(_Reply(end_s, service, request, number, cdr))
         self.send_waiting()
@@ -71,13 +87,22 @@ class Replies:
         # A request may come before the news of its client, and of the reader that it has made.
         self._neighbours.look()
         now_s = time.monotonic()
-        left = [
-            reply
-            for reply in self._waiting
-            if not self._is_sent(reply) and reply.end_s > now_s
-        ]
+        waiting = [reply for reply in self._waiting if not self._is_sent(reply)]
         self._waiting.clear()
-        self._waiting.extend(left)
+        for reply in waiting:
+            if reply.end_s > now_s:
+                self._waiting.append(reply)
+            else:
+                self._give_up(reply)
+
+    def _give_up(self, reply: _Reply) -> None:
+        topic = reply.service.subject.topic
+        service = plain(topic).removesuffix("Reply")
+        self._given_up(
+            topic,
+            f"an answer of {service} was not sent, as its client was not discovered within"
+            f" {KNOWN_WITHIN_S:g} s: call again; if that does not help, start the client anew",
+        )
 
     def _is_sent(self, reply: _Reply) -> bool:
         client = self._neighbours.writers.get(reply.request.writer)

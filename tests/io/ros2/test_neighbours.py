@@ -1,6 +1,12 @@
-"""What other programs of this computer reveal about the domains that they are in."""
+"""What is known of other programs: the domains that they are in, and what does not fit."""
 
-from hilserver.io.ros2.neighbours import other_domains
+from types import SimpleNamespace
+
+import pytest
+
+from hilserver.io.ros2.neighbours import Neighbours, RemoteEndpoint, other_domains
+from hilserver.io.ros2.participant import In, Out, TopicInfo
+from hilserver.ros.qos import DEFAULT, LATCHED, SENSOR_DATA
 
 HEAD = "  sl  local_address rem_address   st tx_queue rx_queue tr tm->when retrnsmt   uid\n"
 
@@ -26,3 +32,43 @@ def test_ports_that_any_program_may_get_tell_nothing(tmp_path):
 
 def test_the_system_s_own_list_can_be_read():
     assert isinstance(other_domains(0), list)
+
+
+IMU, DESCRIPTION = "sensor_msgs::msg::dds_::Imu_", "std_msgs::msg::dds_::String_"
+
+
+def endpoint(kind, topic, type_name, qos):
+    made = kind.__new__(kind)
+    made.subject = TopicInfo(topic, type_name, "", qos)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("ours", "is_reliable", "is_latched", "says"),
+    [
+        (
+            endpoint(Out, "rt/imu", IMU, SENSOR_DATA),
+            *(True, False),
+            "no data flows on /imu: a participant that has left asks for RELIABLE, the robot offers"
+            " BEST_EFFORT; let a participant that has left read /imu BEST_EFFORT",
+        ),
+        (
+            endpoint(In, "rt/imu", IMU, LATCHED),
+            *(True, False),
+            "no data flows on /imu: the robot asks for TRANSIENT_LOCAL, a participant that has left"
+            " offers VOLATILE; let a participant that has left write /imu TRANSIENT_LOCAL",
+        ),
+        (endpoint(Out, "rt/imu", IMU, SENSOR_DATA), False, False, None),
+        (endpoint(Out, "rt/imu", IMU, DEFAULT), True, False, None),
+        (endpoint(Out, "rt/imu", DESCRIPTION, SENSOR_DATA), True, False, None),
+    ],
+)
+def test_a_quality_of_service_that_does_not_fit_is_said_with_its_remedy(
+    ours, is_reliable, is_latched, says
+):
+    nobody = SimpleNamespace(discovered=lambda _: None)
+    other = RemoteEndpoint("rt/imu", IMU, "", is_reliable, is_latched, b"", b"", 0)
+    neighbours = Neighbours(nobody, readers={1: other}, writers={1: other})
+    for _ in range(2):  # for as long as it is so
+        found = dict(neighbours.incompatible([ours]))
+        assert list(found.values()) == ([] if says is None else [says])

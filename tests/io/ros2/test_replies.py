@@ -9,6 +9,7 @@ from hilserver.io.ros2 import replies as module
 from hilserver.io.ros2.replies import MOST_WAITING, Replies
 
 TOPIC, CDR = "rr/hilserver/list_parametersReply", b"\0\1\0\0answer"
+GIVEN_UP = []
 READER, SERVICE, CLIENT = (bytes([n]) * 16 for n in (1, 2, 3))
 
 
@@ -42,7 +43,8 @@ def client():
 @pytest.fixture
 def rig(client):
     discovery = Discovery(client.getsockname()[1])
-    replies = Replies(discovery, local=True)
+    replies = Replies(discovery, lambda *said: GIVEN_UP.append(said), local=True)
+    GIVEN_UP.clear()
     yield discovery, replies
     replies.close()
 
@@ -73,7 +75,12 @@ def test_a_reply_to_nobody_is_given_up_and_many_are_few(client, rig, monkeypatch
     monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now_s))
     for _ in range(2 * MOST_WAITING):
         ask(replies)
-    assert len(replies._waiting) == MOST_WAITING
+    assert len(replies._waiting) == len(GIVEN_UP) == MOST_WAITING
     now_s += module.KNOWN_WITHIN_S
     replies.send_waiting()
     assert not replies._waiting
+    assert len(GIVEN_UP) == 2 * MOST_WAITING
+    topic, sentence = GIVEN_UP[-1]
+    assert topic == TOPIC
+    assert sentence.startswith("an answer of /hilserver/list_parameters was not sent")
+    assert "start the client anew" in sentence
