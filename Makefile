@@ -171,7 +171,8 @@ $(VENV)/.debian: Makefile | $(BIN)/python
 	fi
 
 # Nodes of a real ROS 2 for the tests, in an environment of their own: rclpy is there for Python 3.12.
-ROS := ros-kilted-rclpy ros-geometry-msgs ros-sensor-msgs ros-std-msgs ros-rcl-interfaces ros-rmw-fastrtps-cpp
+ROS := ros-kilted-rclpy ros-geometry-msgs ros-nav-msgs ros-sensor-msgs ros-std-msgs ros-std-srvs ros-rcl-interfaces \
+    ros-rmw-fastrtps-cpp
 
 build/ros/.installed:
 	@for python in python3.12 $$HOME/.pyenv/versions/3.12.*/bin/python3.12; do \

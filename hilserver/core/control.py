@@ -74,7 +74,7 @@ class Control:
         self._gate = gate
         self._events = events
         self._time: Timekeeper = scheduler
-        self._stands = False  # between two steps, in every state
+        self.stands = False  # between two steps, in every state
         self._snapshots = snapshots
         self._causes: dict[str, str] = {}
         self._stop_taken = 0
@@ -84,13 +84,13 @@ class Control:
     @contextmanager
     def time_kept_by(self, keeper: Timekeeper) -> Iterator[None]:
         """Let `keeper` say when time passes; it stands between steps, so every state takes Step."""
-        before = self._time, self._stands
+        before = self._time, self.stands
         self._time = keeper
-        self._stands = True
+        self.stands = True
         try:
             yield
         finally:
-            self._time, self._stands = before
+            self._time, self.stands = before
 
     def _go(self, state: State, reason: str) -> None:
         if state is self.state and reason == self.reason:
@@ -140,7 +140,7 @@ class Control:
         """Run exactly `n` ticks, then pause again."""
         if not 1 <= n <= 1_000_000:
             raise ValueError(f"Step takes 1 to 1000000 ticks, not {n}")
-        if not self._stands:
+        if not self.stands:
             self._next(Command.STEP)
         self._time.step(n)
 

@@ -96,7 +96,6 @@ TWIST: Final = "geometry_msgs/msg/Twist"
 
 EXTRAS: Final[Mapping[str, Published]] = {
     "tf": Published("/tf", "tf2_msgs/msg/TFMessage", outgoing.transforms),
-    "clock": Published("/clock", "rosgraph_msgs/msg/Clock", outgoing.clock),
     "odom": Published("odom", "nav_msgs/msg/Odometry", outgoing.odometry),
     "estimate": Published(
         "odometry/filtered", "nav_msgs/msg/Odometry", outgoing.estimate
@@ -104,6 +103,8 @@ EXTRAS: Final[Mapping[str, Published]] = {
     "pose_stamped": Published(
         "/poseStamped", "geometry_msgs/msg/PoseStamped", outgoing.pose_stamped
     ),
+    # last: a timer that it starts finds what was measured at that time
+    "clock": Published("/clock", "rosgraph_msgs/msg/Clock", outgoing.clock),
 }
 """On request, in every flavour."""
 

@@ -3,6 +3,7 @@
 import asyncio
 import inspect
 import math
+import os
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
 from contextlib import (
@@ -104,7 +105,8 @@ class Hil:
         self._calls: list[Any] = []  # coroutines
         self._lockstep: Lockstep | None = None  # while a controller steps
         self._controller: Guest | None = None
-        self._insiders: set[object] = set()  # clients of this process
+        # clients of this process, and controllers that have stepped
+        self._insiders: set[object] = set()
         self._controllers_made = self._controllers_begun = 0
 
     # --- time -------------------------------------------------------------------------------------
@@ -142,7 +144,8 @@ class Hil:
             # Time would wait for neither of these: the same test would pass once and fail once.
             section = OWN_CLOCKS.get(self.daemon.gate.owner, "")
             for part in self.daemon.parts_of(section):
-                if part.status.connected and getattr(part.status, "participants", 1):
+                others = part.others if section == "ros2" else {part}
+                if part.status.connected and others - self._insiders:
                     raise HilError(
                         f"{section}: '{part.status.name}' is connected and drives by a clock of its"
                         f" own; {REMEDY}"
@@ -157,8 +160,12 @@ class Hil:
             self._insiders |= strangers
             await self.daemon.scheduler.advance(n)
             return
+        await self._until(self._lockstep.advance(n))
+
+    @staticmethod
+    async def _until(in_step: Coroutine[Any, Any, T]) -> T:
         try:
-            await self._lockstep.advance(n)
+            return await in_step
         except NotInStep as why:
             raise HilError(str(why)) from None
 
@@ -344,10 +351,12 @@ class Hil:
     def controller(
         self, *command: str | Path, patience_s: float = WAIT_FOR_STEP_S, **options: Any
     ) -> AbstractAsyncContextManager[None]:
-        """Return an async context manager that runs a controller, an OPC UA client, as a process.
+        """Return an async context manager that runs a controller as a process.
 
-        In virtual time the two wait for each other: the controller calls ``Step(n)``, waits until
-        ``sim.tick`` has risen by n, and computes. In real time it has a clock of its own.
+        It is an OPC UA client or, where ROS 2 is the source, a node, which gets the robot's
+        ``ROS_DOMAIN_ID``. In virtual time the two wait for each other: the controller calls
+        ``Step(n)``, waits until ``sim.tick`` has risen by n, and computes; a node calls the service
+        ``hilserver/step`` for each message. In real time it has a clock of its own.
 
         HilError if the process cannot be started or fails or, in virtual time, if it does not call
         Step within `patience_s` [s].
@@ -372,34 +381,42 @@ class Hil:
             raise HilError(
                 "there is a controller already, and only one steps the robot"
             )
-        own = {ENDPOINT: self.endpoint}
-        gate = self.daemon.gate
+        gate, node = self.daemon.gate, self.daemon.part("ros2")
+        is_node = gate.owner == "ros2" or not self.daemon.part("opcua")
+        door = "ros2" if node is not None and is_node else "opcua"
         if gate.owner == "scenario" and not self.daemon.stage.drives:
-            gate.take("opcua")  # else the controller's commands would be refused
+            gate.take(door)  # else the controller's commands would be refused
             self.source = gate.owner
+        own = {ENDPOINT: self.endpoint} if door == "opcua" else {}
+        if door == "ros2":
+            env = dict(options.get("env") or os.environ)
+            options = options | {"env": env | {"ROS_DOMAIN_ID": str(node.domain)}}
 
         async with AsyncExitStack() as ending:
             if command:
                 words = [filled(str(word), own) for word in command]
-                running = guest(words, **({"cwd": self.folder} | options))
+                program = guest(words, **({"cwd": self.folder} | options))
                 try:
-                    self._controller = await ending.enter_async_context(running)
+                    self._controller = await ending.enter_async_context(program)
                 except NotStarted as error:
                     raise HilError(str(error)) from None
-                reading = self._controller.wait
-                job = self.daemon.core.tasks.spawn(reading, "controller of a test")
+                tasks, reading = self.daemon.core.tasks, self._controller.wait
+                job = tasks.spawn(reading, "controller of a test")
                 ending.callback(job.cancel)
             ending.callback(self._let_controller_go)
             if self.mode == "virtual":
-                self._lockstep = Lockstep(self.daemon, self._controller, patience_s)
+                who = self.daemon, self._controller
+                self._lockstep = Lockstep(*who, patience_s, door)
                 ending.enter_context(self.daemon.control.time_kept_by(self._lockstep))
             yield
             self._check_runs()
-            if self._lockstep is not None and not self._lockstep.steps:
+            if self._lockstep is not None and self._lockstep.steps < 1:
                 raise HilError(
                     "the controller has not called Step while its block ran: advance inside the"
                     " block, with yield or await hil.step(...)"
                 )
+            if self._lockstep is not None:
+                self._insiders |= await self._until(self._lockstep.settle())
         # The set-points of a client that has left end: in this tick, not in one by chance.
         with suppress(TimeoutError):
             async with time_limit(GONE_WITHIN_S):

@@ -1,8 +1,9 @@
 """Lockstep: the robot under test waits for a controller that is a process of its own.
 
-A tick passes when the test lets it pass (``yield 20``) and the controller has asked for it (Step).
-So neither the start of a process nor a busy computer takes simulated time, and every run is the
-same. If one of them has ticks left and the other has none, time stands still.
+A tick passes when the test lets it pass (``yield 20``) and the controller has asked for it: by the
+method Step of OPC UA, or by the service ``hilserver/step`` of ROS 2, which lasts until the next
+messages. So neither the start of a process nor a busy computer takes simulated time, and every run
+is the same. If one of them has ticks left and the other has none, time stands still.
 """
 
 import asyncio
@@ -31,6 +32,11 @@ REMEDY: Final = (
     " @pytest.mark.hil(mode='realtime')"
 )
 
+_ARRIVES: Final = {
+    "opcua": "connect to hil.endpoint",
+    "ros2": "have the ROS_DOMAIN_ID of the robot, and call the service hilserver/step",
+}
+
 
 class NotInStep(Exception):
     """The controller does not go on; the sentence says why."""
@@ -43,17 +49,25 @@ class Lockstep:
     ----------
     controller : Guest, optional
         The controller's process; None: somebody else has started it.
+    door : str
+        How it commands, ``opcua`` or ``ros2``.
     patience_s : float
         How long to wait for the next Step [s].
     """
 
     def __init__(
-        self, daemon: Daemon, controller: Guest | None, patience_s: float
+        self,
+        daemon: Daemon,
+        controller: Guest | None,
+        patience_s: float,
+        door: str = "opcua",
     ) -> None:
-        self.steps = 0  # how often the controller has called Step
+        # how often the controller has called Step; the first one of a node is made for it
+        self.steps = -1 if door == "ros2" else 0
         self._scheduler, self._gate = daemon.scheduler, daemon.gate
         self._controller, self._looks_with_news = controller, 0
-        self._patience_s = patience_s
+        self._patience_s, self._door = patience_s, door
+        self._node = daemon.part("ros2") if door == "ros2" else None
         self._asked = 0  # ticks of the controller's Step that are still to come
         self._ends_after = 0  # that Step ends when so many ticks have run in all
         self._let = 0  # ticks that the test still lets pass
@@ -110,6 +124,23 @@ class Lockstep:
         if self._two:
             raise NotInStep(self._two)
 
+    async def settle(self) -> set[bytes]:
+        """Let a node go whose last commands are here; return who it may have been.
+
+        DDS tells late that somebody has gone, and nothing may come later: this waits until it asks
+        for more, unless it has ended. NotInStep if it does not ask.
+        """
+        if self._node is None:
+            return set()
+        since_s = time.monotonic()
+        while not self._asked and not (self._controller and self._controller.has_ended):
+            self.check(time.monotonic() - since_s)
+            self._has_asked.clear()
+            with contextlib.suppress(TimeoutError):
+                async with time_limit(LOOK_EVERY_S):
+                    await self._has_asked.wait()
+        return self._node.forget_host()
+
     def _go(self) -> None:
         if n := min(self._asked, self._let):
             self._asked -= n
@@ -125,23 +156,23 @@ class Lockstep:
             raise NotInStep(
                 f"the controller {self._controller.ending}, at {now_s:g} s, while the test goes on"
             )
-        if not self.steps and self._writes_on():
+        if self.steps < 1 and self._writes_on():
             raise NotInStep(f"the controller commands and does not call Step; {REMEDY}")
         if waited_s <= self._patience_s:
             return
-        if self.steps:
+        if self.steps > 0:
             raise NotInStep(
                 f"the controller has not called Step for {waited_s:.0f} s, at {now_s:g} s;"
                 f" {REMEDY}"
             )
         raise NotInStep(
-            f"no controller has called Step for {waited_s:.0f} s; does it connect to hil.endpoint?"
-            f" {REMEDY}"
+            f"no controller has called Step for {waited_s:.0f} s; does it"
+            f" {_ARRIVES[self._door]}? {REMEDY}"
         )
 
     def _writes_on(self) -> bool:
         """Whether a controller has gone on writing for a while, as by a clock of its own."""
-        age_s = self._gate.age_s("opcua")
+        age_s = self._gate.age_s(self._door)
         if age_s is not None and age_s < LOOK_EVERY_S:
             self._looks_with_news += 1
         return self._looks_with_news >= LOOKS_WITH_NEWS

@@ -65,10 +65,14 @@ def for_test(config: Config, mode: Mode) -> Config:
         backend = "thread"
     source = config.control.source or ("peer" if config.peers else "scenario")
     path = urlsplit(config.opcua.endpoint).path
+    # nodes then follow the robot's time, as the robot waits for them
+    follows = mode == "virtual" and config.ros2.enabled
+    clock = {"publish": {"clock": True}} if follows else {}
     return config.changed(
         scheduler={"backend": backend},
         control={"source": source},
         image={"name": "auto"},
         opcua={"endpoint": f"opc.tcp://127.0.0.1:0{path}"},
         metrics={"host": "127.0.0.1", "port": 0},
+        ros2=clock,
     )

@@ -15,6 +15,7 @@ from hilserver.config.ros2 import LOOPBACK, Ros2Config
 from hilserver.core.events import Event, EventKind
 from hilserver.core.staleness import Transition
 from hilserver.faults.links import Lane, PeerLine
+from hilserver.image import Frame
 from hilserver.io.arrival import WATCH_S
 from hilserver.io.link_status import LinkState
 from hilserver.io.ros2 import graph
@@ -26,6 +27,7 @@ from hilserver.io.ros2.real_robot import RealRobot
 from hilserver.io.ros2.replies import Replies
 from hilserver.io.ros2.services import RosService
 from hilserver.io.ros2.status import CommandState, Ros2Fault, Ros2Status
+from hilserver.io.ros2.stepping import PERIOD_S, STEP, Stepping
 from hilserver.io.ros2.way_back import WayBack
 from hilserver.io.ros2.wire import WireTypes
 from hilserver.io.source import Source
@@ -45,7 +47,6 @@ from hilserver.signals import State
 from hilserver.tasks import SupervisedTask
 
 NAME: Final = "ros2"
-PERIOD_S: Final = 0.02
 LOOK_EVERY: Final = 25
 
 Receiver = Callable[[Arrival], None]
@@ -71,9 +72,8 @@ class Ros2Node(Part):
             frame_prefix=f"{space}/" if space else "",
         )
         self._names = [signal.name for signal in world.table.scalars]
-        self.status = Ros2Status(
-            NAME, f"{config.flavour} on {config.interface}", mode="dds"
-        )
+        how = f"{config.flavour} on {config.interface}"
+        self.status = Ros2Status(NAME, how, mode="dds")
         self._source = Source(
             config.driver._replace(on_stale=self._action),
             "ROS 2",
@@ -92,17 +92,18 @@ class Ros2Node(Part):
         self._ins: list[tuple[str, Subscribed, In]] = []
         self._services: list[RosService] = []
         self._jobs: list[SupervisedTask] = []
-        self._cycle = 0
+        self._stepping = Stepping(world.control, world.image, world.period_ns)
+        # `_commander`: writer of the newest command
+        self._cycle = self._watched = self._commander = 0
+        self._newest: list[tuple[str, Out, bytes]] = []
         self._news_ns: int | None = None
-        self._watched = 0
         self._neighbours: Neighbours | None = None
+        self._replies: Replies | None = None
         self._domain_watch: DomainWatch | None = None
         self.real: RealRobot | None = None  # whose topics are read beside ours
         if config.measured is not None:
             self.real = RealRobot(config, config.measured, world, self._types)
-        self._replies: Replies | None = None
         self._announced: Out | None = None
-        self._commander = 0  # writer of the newest command
         self._way_back = WayBack(command_enables=config.command_enables)
         # topic that commands no longer: the one that does
         self._taken_over: dict[str, str] = {}
@@ -129,6 +130,22 @@ class Ros2Node(Part):
         number = "?" if self._participant is None else self._participant.number
         return f"{self.config.flavour} in domain {number} on {self.config.interface}"
 
+    @property
+    def domain(self) -> int:
+        """The DDS domain, ROS_DOMAIN_ID, once it has started."""
+        assert self._participant is not None
+        return self._participant.number
+
+    @property
+    def others(self) -> set[bytes]:
+        """Who else is in the domain."""
+        return set(self._neighbours.known) if self._neighbours is not None else set()
+
+    def forget_host(self) -> set[bytes]:
+        """Let a command stand no longer because its writer is alive; return who may be it."""
+        self._commander = 0
+        return self.others
+
     # --- start and stop ---------------------------------------------------------------------------
 
     async def start(self) -> None:
@@ -143,7 +160,8 @@ class Ros2Node(Part):
             self.status, self._source.faults, neighbours, number
         )
         local = self.config.interface in LOOPBACK
-        self._replies = Replies(neighbours, local=local)
+        given_up = partial(self._report, Ros2Fault.NOT_TAKEN)
+        self._replies = Replies(neighbours, given_up, local=local)
         self._participant.listen(self._on_data)
         self.status.state = LinkState.CONNECTING
         self._jobs = [
@@ -168,7 +186,11 @@ class Ros2Node(Part):
         ]
         self._services = [
             RosService(served, self.config, self._types, wire, participant)
-            for served in (*self._flavour.served, *self._parameter_services())
+            for served in (
+                *self._flavour.served,
+                *self._parameter_services(),
+                self._stepping.served(),
+            )
         ]
         if self.real is not None:
             self.real.join(participant, wire)
@@ -221,7 +243,8 @@ class Ros2Node(Part):
         loop = asyncio.get_running_loop()
         due_s = loop.time()
         while True:
-            self._publish()
+            if not self._stepping.stands:
+                self._publish()
             due_s += PERIOD_S
             late_s = loop.time() - due_s
             if late_s > PERIOD_S:
@@ -230,6 +253,12 @@ class Ros2Node(Part):
                 self._cycle += skipped
                 due_s += skipped * PERIOD_S
             await asyncio.sleep(max(0.0, due_s - loop.time()))
+
+    def publish(self, frame: Frame) -> None:
+        """Write the messages of a step, and answer it, as soon as its ticks have passed."""
+        if self._stepping.is_over(frame):
+            self._publish()
+            self._stepping.end()
 
     def _look(self) -> bool:
         """Take the newest frame; False before the first."""
@@ -256,6 +285,7 @@ class Ros2Node(Part):
             for message in published.make(self.robot)
         ]
         self._cycle += 1
+        self._newest = batch
         self._leaving.put(batch)
         for due in self._leaving.take():
             self._write(due)
@@ -279,6 +309,12 @@ class Ros2Node(Part):
     # --- what comes in ----------------------------------------------------------------------------
 
     def _on_data(self) -> None:
+        # Requests first: what was written before one of them, as a command before a step, is there.
+        requests = [
+            (service, request)
+            for service in self._services
+            for request in service.take()
+        ]
         receivers: list[tuple[In, Receiver]] = [
             (reader, partial(self._receive, subscribed))
             for _, subscribed, reader in self._ins
@@ -293,9 +329,8 @@ class Ros2Node(Part):
         if arrived and not self._line.is_cut:
             self._arriving.put(arrived)
             self._receive_due()
-        for service in self._services:
-            for request in service.take():
-                self._serve(service, request)
+        for service, request in requests:
+            self._serve(service, request)
 
     def _fitting(self, reader: In) -> list[Arrival]:
         """Return what came in from writers that mean the same fields as we do."""
@@ -394,13 +429,23 @@ class Ros2Node(Part):
         if self._line.is_cut or not self._look():
             return
         try:
-            values, answer = service.understand(self.robot, request)
+            values, response = service.understand(self.robot, request)
         except ValueError as error:
             self._report(
                 Ros2Fault.BAD_MESSAGE, service.name, f"{service.name}: {error}"
             )
             return
-        refusals, came_ns = {}, self._source.came_ns(time.monotonic_ns())
+        replies = self._replies
+
+        def answer(is_done: bool) -> None:
+            service.answer(request, number, response(is_done), replies)
+
+        now_ns = time.monotonic_ns()
+        if service.name == self.config.full_name(STEP):
+            self._hold(now_ns)
+            self._stepping.ask(request.writer, answer)
+            return
+        refusals, came_ns = {}, self._source.came_ns(now_ns)
         if values:
             # A service is no command that has to be renewed: who enables by hand may drive later,
             # and who only switches lights does not keep the command of another node alive.
@@ -409,7 +454,7 @@ class Ros2Node(Part):
             )
             if "drive.enable" in values and not refusals:
                 self._way_back.forget()
-        service.answer(request, number, answer(not refusals), self._replies)
+        answer(not refusals)
 
     # --- what is judged ---------------------------------------------------------------------------
 
@@ -420,7 +465,12 @@ class Ros2Node(Part):
             self._neighbours.look()
         if self._replies is not None:
             self._replies.send_waiting()
-        self._hold(now_ns)
+        self._watch_steps(now_ns)
+        if not self._stepping.stands:
+            self._hold(now_ns)
+        elif self.status.command_ns is not None:
+            # Nobody is late while time waits for him; leases count simulated time.
+            self._source.staleness.renew(now_ns)
         self._see_lapse()
         if self._source.watch(now_ns) is Transition.LOST:
             self.status.command = CommandState.STALE
@@ -432,6 +482,15 @@ class Ros2Node(Part):
             ]
             self._domain_watch.look(self._endpoints(), services)
         self._watched += 1
+
+    def _watch_steps(self, now_ns: int) -> None:
+        """Begin lockstep with a client of the service, and speak to it until it has heard us."""
+        name = self.config.full_name(STEP)
+        readers = [one.endpoints[0] for one in self._services if one.name == name]
+        if self._stepping.begin(now_ns, is_there=any(one.matched for one in readers)):
+            self._cycle = 0  # slower topics count from here
+        if self._stepping.repeats(now_ns):
+            self._write(self._newest)
 
     def _hold(self, now_ns: int) -> None:
         """Show where the last command stands; with `hold` renew it while its writer is alive."""

@@ -1,0 +1,149 @@
+"""A ROS 2 node as the controller: the robot waits for its steps, and every run is the same."""
+
+import asyncio
+import contextlib
+import hashlib
+import re
+
+import pytest
+
+from hilserver.program.children import python, started
+from hilserver.testing.hil import HilError
+from hilserver.testing.opening import open_hil
+from tests.io.ros2.rig import claimed_domain
+from tests.io.ros2.ros_node import PYTHON, ROOT, needs_rclpy
+
+pytestmark = needs_rclpy
+
+PAGE = ROOT / "docs" / "how-to" / "ros2.md"
+PATIENCE_S = 600.0
+YAW, RATE = "pose.yaw_rad", "twist.angular_rad_s"
+REQUIRE = [
+    {"name": "arrives", "signal": YAW, "above": 0.48, "within_s": 1.4},
+    {"name": "does not overshoot", "signal": YAW, "below": 0.52, "always": True},
+    {"name": "keeps its limit", "signal": RATE, "below": 0.81, "always": True},
+]
+BUGS = {
+    "": ("", "", []),
+    "sign": ("TARGET_RAD - heading_rad", "heading_rad - TARGET_RAD", ["arrives"]),
+    "gain": ("0.5, 4.0", "0.5, 0.5", ["arrives"]),
+    "limit": ("4.0, 0.8", "4.0, 1.6", ["keeps its limit"]),
+}
+TIMER = """
+from rclpy.parameter import Parameter
+
+node.destroy_node()
+node = rclpy.create_node(
+    "by_timer", parameter_overrides=[Parameter("use_sim_time", value=True)]
+)
+drive = node.create_publisher(Twist, "/cmd_vel", 10)
+newest = Imu()
+
+
+def keep(imu):
+    global newest
+    newest = imu
+
+
+node.create_subscription(Imu, "/imu", keep, qos_profile_sensor_data)
+node.create_timer(0.02, lambda: control(newest))
+"""
+"""The node of the page, driven by a timer that follows ``/clock``."""
+
+
+def controller(bug="", by_timer=False):
+    """The node of the page, with a bug or with a timer."""
+    text = next(
+        block
+        for block in re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+        if "Trigger" in block
+    )
+    right, wrong, _ = BUGS[bug]
+    assert right in text
+    if right:
+        text = text.replace(right, wrong)
+    if by_timer:
+        (line,) = re.findall(r"node.create_subscription\(.*\n", text)
+        text = text.replace(line, TIMER)
+    return text
+
+
+@contextlib.asynccontextmanager
+async def robot(**more):
+    with claimed_domain() as domain:
+        node = {"enabled": True, "flavour": "diff_drive", "domain": domain}
+        sections = {"ros2": node | more, "control": {"source": "ros2"}}
+        async with open_hil(sections, "virtual") as hil:
+            yield hil
+
+
+async def drive(file, parts=(1500,), **more):
+    """Drive once; return which requirements are not met, and a hash of every signal."""
+    async with robot(**more) as hil, hil.capture() as trace:
+        async with hil.controller(PYTHON, file, patience_s=PATIENCE_S):
+            for n in parts:
+                await hil.step(n)
+        await hil.step(100)  # its last command still stands
+        found = [name for name, m in trace.margins(*REQUIRE).items() if m < 0.0]
+        columns = b"".join(trace[name].values.tobytes() for name in sorted(trace))
+        return found, hashlib.sha256(columns).hexdigest()
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(*variant):
+        file = tmp_path / f"{'_'.join(map(str, variant)) or 'node'}.py"
+        file.write_text(controller(*variant), encoding="utf-8")
+        return file
+
+    return write
+
+
+@contextlib.asynccontextmanager
+async def busy(n):
+    async with contextlib.AsyncExitStack() as ending:
+        for _ in range(n):
+            command = python("-c", "import os; os.nice(19)\nwhile True: pass")
+            await ending.enter_async_context(
+                started(command, name="busy", stop_limit_s=0)
+            )
+        yield
+
+
+async def test_every_repeat_is_equal_however_the_test_steps(written):
+    ways = [(1500,), (1500,), (7, 1, 41, 1451)]
+    drives = [drive(written(), way) for way in ways]
+    by_timer = [drive(written("", True)) for _ in range(2)]
+    async with busy(2):
+        done = await asyncio.gather(*drives, *by_timer)
+    assert [found for found, _ in done] == [[]] * 5
+    hashes = [bits for _, bits in done]
+    assert len(set(hashes[:3])) == 1
+    assert len(set(hashes[3:])) == 1
+
+
+@pytest.mark.long
+async def test_planted_bugs_are_found(written):
+    for bug, (_, _, expected) in BUGS.items():
+        assert (await drive(written(bug)))[0] == expected
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("by_timer", [False, True])
+async def test_two_hundred_repeats_are_equal_beside_busy_processes(written, by_timer):
+    async with busy(2):
+        hashes = {(await drive(written("", by_timer)))[1] for _ in range(200)}
+    assert len(hashes) == 1
+
+
+async def test_a_node_with_a_clock_of_its_own_is_named(written):
+    file = written()
+    text = file.read_text().replace("    step.call_async(Trigger.Request())\n", "")
+    text = re.sub(r"step[ .].*\n", "", text)
+    again = "node.create_timer(0.02, lambda: drive.publish(Twist()))\nrclpy.spin"
+    file.write_text(text.replace("rclpy.spin", again))
+    async with robot() as hil:
+        says = "commands and does not call Step"
+        with pytest.raises(HilError, match=says):
+            async with hil.controller(PYTHON, file, patience_s=PATIENCE_S):
+                await hil.step(200)
