@@ -93,8 +93,8 @@ class Ros2Node(Part):
         self._services: list[RosService] = []
         self._jobs: list[SupervisedTask] = []
         self._stepping = Stepping(world.control, world.image, world.period_ns)
-        # `_commander`: writer of the newest command
-        self._cycle = self._watched = self._commander = 0
+        # writer of the newest command, and the simulated time of its arrival
+        self._cycle = self._watched = self._commander = self._commanded_ns = 0
         self._newest: list[tuple[str, Out, bytes]] = []
         self._news_ns: int | None = None
         self._neighbours: Neighbours | None = None
@@ -144,7 +144,17 @@ class Ros2Node(Part):
     def forget_host(self) -> set[bytes]:
         """Let a command stand no longer because its writer is alive; return who may be it."""
         self._commander = 0
+        self._stepping.forget()
+        self._age_command()
         return self.others
+
+    def _age_command(self) -> None:
+        """Let the last command be as old as simulated time says, however long that has stood."""
+        if not self._look():
+            return
+        age_ns = self.robot.time_ns - self._commanded_ns
+        if age_ns < self._source.staleness.limit_ns:
+            self._world.gate.leases.renew(NAME, -age_ns)
 
     # --- start and stop ---------------------------------------------------------------------------
 
@@ -397,7 +407,7 @@ class Ros2Node(Part):
         self._source.staleness.renew(now_ns)
         self.status.input_received_ns = dict.fromkeys(values, now_ns)
         self.status.command_ns = now_ns
-        self._commander = arrival.writer
+        self._commander, self._commanded_ns = arrival.writer, self.robot.time_ns
         self._take_over(subscribed)
 
     def _take_over(self, subscribed: Subscribed) -> None:
@@ -469,8 +479,9 @@ class Ros2Node(Part):
         if not self._stepping.stands:
             self._hold(now_ns)
         elif self.status.command_ns is not None:
-            # Nobody is late while time waits for him; leases count simulated time.
+            # Nobody is late while time waits for him.
             self._source.staleness.renew(now_ns)
+            self._age_command()
         self._see_lapse()
         if self._source.watch(now_ns) is Transition.LOST:
             self.status.command = CommandState.STALE

@@ -66,9 +66,7 @@ class Stepping:
 
     def begin(self, now_ns: int, *, is_there: bool) -> bool:
         """Make the first step once its client `is_there`; return whether that was now."""
-        if not self.stands:
-            self._writer, self._shown_ns = 0, None
-        elif is_there and self._shown_ns is None:
+        if is_there and self.stands and self._shown_ns is None:
             self._shown_ns = now_ns
             self._step()
             return True
@@ -104,6 +102,12 @@ class Stepping:
         newest = self._image.latest()
         self._control.step(self._ticks)
         self._last = (-1 if newest is None else newest.number) + self._ticks
+
+    def forget(self) -> None:
+        """Begin anew with the next controller; nobody waits for an answer any more."""
+        self._answers.clear()
+        self._last = self._shown_ns = None
+        self._writer = 0
 
     def is_over(self, frame: Frame) -> bool:
         """Whether the ticks that were asked for have passed."""
