@@ -139,7 +139,8 @@ class Lockstep:
             with contextlib.suppress(TimeoutError):
                 async with time_limit(LOOK_EVERY_S):
                     await self._has_asked.wait()
-        return self._node.forget_host()
+        gone: set[bytes] = self._node.forget_host()
+        return gone
 
     def _go(self) -> None:
         if n := min(self._asked, self._let):
