@@ -6,6 +6,7 @@ compares.
 
 import contextlib
 import io
+import re
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -63,16 +64,15 @@ def _node(flavour: str) -> str:
 HOW_TOS: Final = (
     HowTo("[describe it](../how-to/own-robot.md)", "check"),
     HowTo("[simulate](../how-to/simulate.md)", "simulate drive.yaml -o drive.mcap"),
-    HowTo("[replay](../how-to/record-and-replay.md)", "replay drive.mcap --check"),
+    HowTo(
+        "[replay](../how-to/record-and-replay.md)",
+        "replay drive.mcap -o again.csv --check",
+    ),
     HowTo("[a bag of it](../how-to/record-and-replay.md)", "convert drive.mcap bag"),
     HowTo("[diagnose](../how-to/diagnose.md)", "diagnose drive.mcap -o found"),
     HowTo(
         "[estimate where it was](../how-to/observe.md)",
         "observe drive.mcap -o where.csv",
-    ),
-    HowTo(
-        "[plan an experiment](../how-to/plan.md)",
-        "plan drive.yaml --duration 20 -o plan",
     ),
     HowTo("[sweep](../how-to/sweep.md)", "sweep sweep.yaml -o sweep"),
     HowTo(
@@ -103,6 +103,7 @@ HOW_TOS: Final = (
         for flavour in ("iotbot_shield", "eduard", "thesis_sil", "diff_drive")
     ),
 )
+_PLACE: Final = re.compile(r"^(hilserver: )?(config\.yaml:\d+: )?")
 _NO_CONFIG: Final = ("convert", "replay", "sweep")
 """Commands whose files say which robot it is."""
 
@@ -121,7 +122,7 @@ def outcome(folder: Path, robot: str, how_to: HowTo) -> str:
     ):
         code = main(words)
     lines = said.getvalue().strip().splitlines() or [f"exit code {code}"]
-    return "yes" if code == 0 else lines[-1].removeprefix("hilserver: ")
+    return "yes" if code == 0 else _PLACE.sub("", lines[-1])
 
 
 def outcomes(robot: str) -> Iterator[str]:

@@ -7,18 +7,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from hilserver.config.plant import (
-    KinematicsConfig,
-    PlantConfig,
-    SensorsConfig,
-    TofConfig,
-    to_parameters,
-)
 from hilserver.logs.changes import TOPIC as CHANGES
 from hilserver.logs.mcap_writer import TOPIC as FRAMES
 from hilserver.logs.message import SCHEMA_NAME
 from hilserver.logs.provenance import configuration_of, tag_ticks
-from hilserver.plant.packing import pack
 from hilserver.ros import outgoing
 from hilserver.ros.flavours import EXTRAS, FLAVOURS, Flavour, Published
 from hilserver.ros.robot import Odometer, RosFrame, Shape
@@ -58,18 +50,10 @@ def _program(run: Mapping[str, Any]) -> tuple[Flavour, Shape]:
         flavour = FLAVOURS[found["ros2"]["flavour"]]
         if flavour is _EDUART_FLAVOUR:
             return eduart
-        sensors = SensorsConfig.model_validate(found["sensors"])
-        slices_ms = found["scheduler"]["slices"]
-        robot = to_parameters(
-            PlantConfig.model_validate(found["plant"]),
-            KinematicsConfig.model_validate(found["kinematics"]),
-            # the file of its hall may be elsewhere by now
-            sensors.changed(tof={"hall": TofConfig().hall}),
-            {name: slice_ms * 1e-3 for name, slice_ms in slices_ms.items()},
-        )
+        shape = Shape.described(found["plant"], found["kinematics"])
     except (ValueError, KeyError, TypeError):  # of another version, or a foreign log
         return eduart
-    return flavour, Shape.of(robot, pack(robot))
+    return flavour, shape
 
 
 class _Row(dict[str, float]):

@@ -6,11 +6,20 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Self
 
 from hilserver.plant.layout import CORNERS, WHEELS, Parameters
+from hilserver.plant.packing import pack
 from hilserver.plant.parameters import RobotParameters
 from hilserver.plant.units import RPM_PER_RAD_S
 from hilserver.ros.types import Types
 
 NS_PER_S: Final = 1_000_000_000
+_DIMENSIONS: Final = (
+    "drive",
+    "wheel_radius_m",
+    "wheelbase_m",
+    "track_m",
+    "icr_offset_m",
+    "max_rpm",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +59,16 @@ class Shape:
             tof_x_m=(x_m, x_m, -x_m, -x_m),
             tof_y_m=(y_m, -y_m, y_m, -y_m),
         )
+
+    @classmethod
+    def described(cls, plant: Mapping[str, Any], kinematics: Mapping[str, Any]) -> Self:
+        """Return the dimensions that sections of a configuration give.
+
+        KeyError, TypeError or ValueError if they do not.
+        """
+        given = {key: plant[key] for key in _DIMENSIONS}
+        robot = RobotParameters(**given, **kinematics)
+        return cls.of(robot, pack(robot))
 
 
 @dataclass

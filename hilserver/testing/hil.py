@@ -162,9 +162,10 @@ class Hil:
             return
         await self._until(self._lockstep.advance(n))
 
-    async def _until(self, in_step: Coroutine[Any, Any, None]) -> None:
+    @staticmethod
+    async def _until(in_step: Coroutine[Any, Any, T]) -> T:
         try:
-            await in_step
+            return await in_step
         except NotInStep as why:
             raise HilError(str(why)) from None
 
@@ -386,27 +387,26 @@ class Hil:
         if gate.owner == "scenario" and not self.daemon.stage.drives:
             gate.take(door)  # else the controller's commands would be refused
             self.source = gate.owner
-        own = {} if door == "ros2" else {ENDPOINT: self.endpoint}
+        own = {ENDPOINT: self.endpoint} if door == "opcua" else {}
         if door == "ros2":
-            around = dict(options.get("env") or os.environ)
-            options = options | {"env": around | {"ROS_DOMAIN_ID": str(node.domain)}}
+            env = dict(options.get("env") or os.environ)
+            options = options | {"env": env | {"ROS_DOMAIN_ID": str(node.domain)}}
 
         async with AsyncExitStack() as ending:
             if command:
                 words = [filled(str(word), own) for word in command]
-                running = guest(words, **({"cwd": self.folder} | options))
+                program = guest(words, **({"cwd": self.folder} | options))
                 try:
-                    self._controller = await ending.enter_async_context(running)
+                    self._controller = await ending.enter_async_context(program)
                 except NotStarted as error:
                     raise HilError(str(error)) from None
-                reading = self._controller.wait
-                job = self.daemon.core.tasks.spawn(reading, "controller of a test")
+                tasks, reading = self.daemon.core.tasks, self._controller.wait
+                job = tasks.spawn(reading, "controller of a test")
                 ending.callback(job.cancel)
             ending.callback(self._let_controller_go)
             if self.mode == "virtual":
-                self._lockstep = Lockstep(
-                    self.daemon, self._controller, patience_s, door
-                )
+                who = self.daemon, self._controller
+                self._lockstep = Lockstep(*who, patience_s, door)
                 ending.enter_context(self.daemon.control.time_kept_by(self._lockstep))
             yield
             self._check_runs()
@@ -415,11 +415,8 @@ class Hil:
                     "the controller has not called Step while its block ran: advance inside the"
                     " block, with yield or await hil.step(...)"
                 )
-            if door == "ros2" and self._lockstep is not None:
-                # DDS tells of its end late, and nothing that it has sent may come later.
-                await self._until(self._lockstep.settle())
-                self._insiders |= node.others
-                node.forget_host()
+            if self._lockstep is not None:
+                self._insiders |= await self._until(self._lockstep.settle())
         # The set-points of a client that has left end: in this tick, not in one by chance.
         with suppress(TimeoutError):
             async with time_limit(GONE_WITHIN_S):

@@ -67,6 +67,7 @@ class Lockstep:
         self._scheduler, self._gate = daemon.scheduler, daemon.gate
         self._controller, self._looks_with_news = controller, 0
         self._patience_s, self._door = patience_s, door
+        self._node = daemon.part("ros2") if door == "ros2" else None
         self._asked = 0  # ticks of the controller's Step that are still to come
         self._ends_after = 0  # that Step ends when so many ticks have run in all
         self._let = 0  # ticks that the test still lets pass
@@ -123,11 +124,14 @@ class Lockstep:
         if self._two:
             raise NotInStep(self._two)
 
-    async def settle(self) -> None:
-        """Wait until the controller asks for more: what it commands last is there then.
+    async def settle(self) -> set[bytes]:
+        """Let a node go whose last commands are here; return who it may have been.
 
-        NotInStep if it does not; one that has ended has said everything.
+        DDS tells late that somebody has gone, and nothing may come later: this waits until it asks
+        for more, unless it has ended. NotInStep if it does not ask.
         """
+        if self._node is None:
+            return set()
         since_s = time.monotonic()
         while not self._asked and not (self._controller and self._controller.has_ended):
             self.check(time.monotonic() - since_s)
@@ -135,6 +139,8 @@ class Lockstep:
             with contextlib.suppress(TimeoutError):
                 async with time_limit(LOOK_EVERY_S):
                     await self._has_asked.wait()
+        gone: set[bytes] = self._node.forget_host()
+        return gone
 
     def _go(self) -> None:
         if n := min(self._asked, self._let):

@@ -27,7 +27,7 @@ from hilserver.io.ros2.real_robot import RealRobot
 from hilserver.io.ros2.replies import Replies
 from hilserver.io.ros2.services import RosService
 from hilserver.io.ros2.status import CommandState, Ros2Fault, Ros2Status
-from hilserver.io.ros2.stepping import STEP, Stepping
+from hilserver.io.ros2.stepping import PERIOD_S, STEP, Stepping
 from hilserver.io.ros2.way_back import WayBack
 from hilserver.io.ros2.wire import WireTypes
 from hilserver.io.source import Source
@@ -47,7 +47,6 @@ from hilserver.signals import State
 from hilserver.tasks import SupervisedTask
 
 NAME: Final = "ros2"
-PERIOD_S: Final = 0.02
 LOOK_EVERY: Final = 25
 
 Receiver = Callable[[Arrival], None]
@@ -73,9 +72,8 @@ class Ros2Node(Part):
             frame_prefix=f"{space}/" if space else "",
         )
         self._names = [signal.name for signal in world.table.scalars]
-        self.status = Ros2Status(
-            NAME, f"{config.flavour} on {config.interface}", mode="dds"
-        )
+        how = f"{config.flavour} on {config.interface}"
+        self.status = Ros2Status(NAME, how, mode="dds")
         self._source = Source(
             config.driver._replace(on_stale=self._action),
             "ROS 2",
@@ -94,20 +92,18 @@ class Ros2Node(Part):
         self._ins: list[tuple[str, Subscribed, In]] = []
         self._services: list[RosService] = []
         self._jobs: list[SupervisedTask] = []
-        ticks = max(1, round(PERIOD_S * 1e9 / world.period_ns))
-        self._stepping = Stepping(world.control, world.image, ticks)
-        self._cycle = 0
+        self._stepping = Stepping(world.control, world.image, world.period_ns)
+        # writer of the newest command, and the simulated time of its arrival
+        self._cycle = self._watched = self._commander = self._commanded_ns = 0
         self._newest: list[tuple[str, Out, bytes]] = []
         self._news_ns: int | None = None
-        self._watched = 0
         self._neighbours: Neighbours | None = None
+        self._replies: Replies | None = None
         self._domain_watch: DomainWatch | None = None
         self.real: RealRobot | None = None  # whose topics are read beside ours
         if config.measured is not None:
             self.real = RealRobot(config, config.measured, world, self._types)
-        self._replies: Replies | None = None
         self._announced: Out | None = None
-        self._commander = 0  # writer of the newest command
         self._way_back = WayBack(command_enables=config.command_enables)
         # topic that commands no longer: the one that does
         self._taken_over: dict[str, str] = {}
@@ -145,9 +141,20 @@ class Ros2Node(Part):
         """Who else is in the domain."""
         return set(self._neighbours.known) if self._neighbours is not None else set()
 
-    def forget_host(self) -> None:
-        """Let a command stand no longer because its writer is alive."""
+    def forget_host(self) -> set[bytes]:
+        """Let a command stand no longer because its writer is alive; return who may be it."""
         self._commander = 0
+        self._stepping.forget()
+        self._age_command()
+        return self.others
+
+    def _age_command(self) -> None:
+        """Let the last command be as old as simulated time says, however long that has stood."""
+        if not self._look():
+            return
+        age_ns = self.robot.time_ns - self._commanded_ns
+        if age_ns < self._source.staleness.limit_ns:
+            self._world.gate.leases.renew(NAME, -age_ns)
 
     # --- start and stop ---------------------------------------------------------------------------
 
@@ -400,7 +407,7 @@ class Ros2Node(Part):
         self._source.staleness.renew(now_ns)
         self.status.input_received_ns = dict.fromkeys(values, now_ns)
         self.status.command_ns = now_ns
-        self._commander = arrival.writer
+        self._commander, self._commanded_ns = arrival.writer, self.robot.time_ns
         self._take_over(subscribed)
 
     def _take_over(self, subscribed: Subscribed) -> None:
@@ -472,8 +479,9 @@ class Ros2Node(Part):
         if not self._stepping.stands:
             self._hold(now_ns)
         elif self.status.command_ns is not None:
-            # Nobody is late while time waits for him; leases count simulated time.
+            # Nobody is late while time waits for him.
             self._source.staleness.renew(now_ns)
+            self._age_command()
         self._see_lapse()
         if self._source.watch(now_ns) is Transition.LOST:
             self.status.command = CommandState.STALE

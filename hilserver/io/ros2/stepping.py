@@ -20,6 +20,8 @@ from hilserver.ros.robot import RosFrame
 
 TRIGGER: Final = "std_srvs/srv/Trigger"
 STEP: Final = f"{NODE}/step"
+PERIOD_S: Final = 0.02
+"""Between two messages of the fastest topics."""
 REPEATED_NS: Final = 500_000_000
 _RUNS: Final = (
     "the robot runs by its own clock: only in a test with virtual time, inside"
@@ -32,12 +34,13 @@ class Stepping:
 
     Parameters
     ----------
-    ticks : int
-        Length of a step.
+    tick_ns : int
+        Period of a tick.
     """
 
-    def __init__(self, control: Control, image: ProcessImage, ticks: int) -> None:
-        self._control, self._image, self._ticks = control, image, ticks
+    def __init__(self, control: Control, image: ProcessImage, tick_ns: int) -> None:
+        self._control, self._image = control, image
+        self._ticks = max(1, round(PERIOD_S * 1e9 / tick_ns))  # of a step
         self._answers: list[Callable[[bool], None]] = []
         self._last: int | None = None  # number of the last frame of a step
         self._writer = 0  # who has asked for it
@@ -62,10 +65,8 @@ class Stepping:
         return self._control.stands
 
     def begin(self, now_ns: int, *, is_there: bool) -> bool:
-        """Make the first step if its client `is_there`; return whether it has just been asked for."""
-        if not self.stands:
-            self._writer, self._shown_ns = 0, None
-        elif is_there and self._shown_ns is None:
+        """Make the first step once its client `is_there`; return whether that was now."""
+        if is_there and self.stands and self._shown_ns is None:
             self._shown_ns = now_ns
             self._step()
             return True
@@ -101,6 +102,12 @@ class Stepping:
         newest = self._image.latest()
         self._control.step(self._ticks)
         self._last = (-1 if newest is None else newest.number) + self._ticks
+
+    def forget(self) -> None:
+        """Begin anew with the next controller; nobody waits for an answer any more."""
+        self._answers.clear()
+        self._last = self._shown_ns = None
+        self._writer = 0
 
     def is_over(self, frame: Frame) -> bool:
         """Whether the ticks that were asked for have passed."""
