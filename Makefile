@@ -100,11 +100,15 @@ pictures: test-tools ## Take the pictures of page and dashboard anew, on a quiet
 	@$(BIN)/python -m tests.page.pictures docs/how-to/page
 	@$(BIN)/python -m tests.grafana.picture docs/how-to/dashboard.webp
 
-.PHONY: wheel
+.PHONY: wheel wheels
 wheel: $(VENV)/.dev ## Build sdist and wheel with compiled code for this Python into dist/, and check them (two minutes)
-	@rm -rf build/lib* build/bdist.* dist
-	@$(BIN)/python deploy/objects.py build/objects
-	@HILSERVER_OBJECTS=$(CURDIR)/build/objects $(BIN)/python -m build --outdir dist . >/dev/null
+	@rm -rf dist
+	@$(BIN)/python deploy/wheels.py $(BIN)/python
+	@$(BIN)/python -m twine check --strict dist/*
+
+wheels: $(VENV)/.dev ## The same for each Python that we support and that is found
+	@rm -rf dist
+	@$(BIN)/python deploy/wheels.py
 	@$(BIN)/python -m twine check --strict dist/*
 
 .PHONY: image

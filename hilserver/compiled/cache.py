@@ -49,6 +49,7 @@ if stored is None:
 else:
     stored.on_miss.append(_without_linear_algebra)  # what is in the cache needs neither
 _PACKAGE = Path(__file__).resolve().parent.parent
+SETTINGS = {"nogil": True, "error_model": "numpy", "fastmath": False}
 KERNELS_KEPT = 8
 """Folders of compiled code: this version's, and those of others that run on this computer."""
 
@@ -130,7 +131,7 @@ def kernel(*signature: Any, **options: Any) -> Callable[[Callable[..., Any]], An
     Without fast-math the same inputs give the same bits in every pacing back end. Division follows
     IEEE 754 (``error_model="numpy"``): a kernel never raises.
     """
-    settings = {"nogil": True, "error_model": "numpy", "fastmath": False} | options
+    settings = SETTINGS | options
     is_kept = settings.pop("cache", True)
     signatures = (
         signature[0] if signature and isinstance(signature[0], list) else signature
@@ -147,11 +148,17 @@ def kernel(*signature: Any, **options: Any) -> Callable[[Callable[..., Any]], An
     return decorate
 
 
-part: Callable[[Callable[..., Any]], Any] = kernel(_nrt=False)
-"""A unit of the paced step: compiled once by itself, whichever configurations call it.
+def part(function: Callable[..., Any]) -> Any:
+    """Compile a unit of the paced step: once by itself, whichever configurations call it.
 
-It allocates nothing, so numba's reference counting is off: it would cost a third of a tick.
-"""
+    It allocates nothing, so numba's reference counting is off: it would cost a third of a tick.
+    """
+    if stored is None:
+        return kernel(_nrt=False)(function)
+    return stored.part(
+        function, SETTINGS | {"_nrt": False}, lambda name: _kept(function, name)
+    )
+
 
 inlined: Callable[[Callable[..., Any]], Any] = kernel(_nrt=False, inline="always")
 """A helper that stands in its callers before their types are inferred.
@@ -176,8 +183,8 @@ def c_function(signature: Any) -> Callable[[Callable[..., Any]], Any]:
     return decorate
 
 
-def _kept(function: Callable[..., Any]) -> Any:
-    stamp = source_stamp(Path(function.__code__.co_filename))
+def _kept(function: Callable[..., Any], variant: str = "") -> Any:
+    stamp = source_stamp(Path(function.__code__.co_filename)) + variant
     return stored.Stored(function, shelf(), supplied(), stamp)
 
 

@@ -27,6 +27,7 @@ from numba.core.serialize import dumps
 
 from hilserver.cache import Shelf
 from hilserver.compiled import sharing
+from hilserver.compiled.inlining import Pipeline
 from hilserver.compiled.supplied import ANY_PROCESSOR, Supplied
 
 WAIT_S: Final = 300.0
@@ -39,7 +40,7 @@ _ADDRESS: Final = re.compile(r"0x[0-9a-f]+")
 
 for _owner, _names in (
     (_Cache, ("load_overload", "save_overload")),
-    (Dispatcher, ("compile", "disable_compile", "enable_caching")),
+    (Dispatcher, ("add_overload", "compile", "disable_compile", "enable_caching")),
     (CompileResult, ("_reduce", "_rebuild")),
     (CompileResultCacheImpl, ("check_cachable",)),
     (CFunc, ("compile", "enable_caching")),
@@ -157,7 +158,7 @@ def kernel(
     cache: Stored | None,
 ) -> Any:
     """Do what `numba.njit` does, with a cache of ours; what is being shared is compiled later."""
-    compiled: Any = numba.njit(**settings)(function)
+    compiled: Any = numba.njit(pipeline_class=Pipeline, **settings)(function)
     if compiled is function:  # NUMBA_DISABLE_JIT
         return compiled
     if cache is not None:
@@ -187,6 +188,41 @@ def kernel(
         share.put_off(f"{function.__module__}.{function.__qualname__}", settle)
     elif signatures:
         settle()
+    return compiled
+
+
+def part(
+    function: Callable[..., Any],
+    settings: dict[str, Any],
+    kept: Callable[[str], Stored],
+) -> Any:
+    """Compile a function for its callers among the kernels, without an entry for Python and for C.
+
+    The entries would be a sixth of a cold start. Where Python calls it, as tests do, it is compiled
+    once more, with them.
+
+    Parameters
+    ----------
+    kept : callable
+        Returns the cache of one of the two by a name.
+    """
+    without = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    compiled = kernel(function, (), settings | without, kept("inside"))
+    if compiled is function:  # NUMBA_DISABLE_JIT
+        return compiled
+    with_entry: list[Any] = []
+
+    def for_python(*_: Any, **__: Any) -> Any:
+        if not with_entry:
+            with_entry.append(kernel(function, (), settings, kept("")))
+        return with_entry[0]
+
+    def known_to_kernels(result: CompileResult) -> None:
+        compiled.overloads[tuple(result.signature.args)] = result
+
+    compiled._compile_for_args = for_python
+    # numba's own would let Python call what has no entry
+    compiled.add_overload = known_to_kernels
     return compiled
 
 

@@ -1,21 +1,22 @@
-"""What `make wheel` builds works where there is no checkout: the first drive, and the test kit.
+"""What `make wheels` builds works where there is no checkout: the first drive, and the test kit.
 
 The compiled code that it brings along spares the compiler, and gives the bits of native code.
 """
 
+import json
 import os
 import re
+import runpy
 import subprocess
 import sys
 import zipfile
 from pathlib import Path
 
-import llvmlite
-import numba
-import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[2]
+SCRIPT = runpy.run_path(str(ROOT / "deploy" / "wheels.py"))
+PYTHONS = SCRIPT["pythons"]
 TEST = """
 async def test_it_drives(hil):
     hil.write("wheels.setpoints_rpm", [20.0, 20.0, -20.0, -20.0])
@@ -27,9 +28,8 @@ pytestmark = pytest.mark.long  # it downloads what hilserver needs, and compiles
 ALONE = ("PYTHONPATH", "HOME")
 LIMIT_BYTES = 10_000_000
 OBJECTS = "hilserver/compiled/objects/"
-VERSIONS = [
-    f"{package.__name__}=={package.__version__}" for package in (numba, llvmlite, np)
-]
+UV = (sys.executable, "-m", "uv")
+VERSIONS = ("--constraint", ROOT / "constraints.txt")
 SCENARIO = """
 steps:
   - {at_s: 0.0, write: {control.mode: 1, twist.linear_m_s: 0.3}}
@@ -57,36 +57,51 @@ def run(*command, cwd, without=("PYTHONPATH",), **environment):
     return done.stdout
 
 
+@pytest.fixture(scope="module", params=PYTHONS["NAMES"])
+def python(request):
+    path = PYTHONS["find"](request.param)
+    if path is None:
+        pytest.skip(f"{request.param} is not on this computer")
+    return path
+
+
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory):
-    out, objects = tmp_path_factory.mktemp("dist"), tmp_path_factory.mktemp("objects")
-    run(sys.executable, "deploy/objects.py", objects, cwd=ROOT, PYTHONPATH=str(ROOT))
-    words = ("-m", "build", "--outdir", out, ".")
-    run(sys.executable, *words, cwd=ROOT, HILSERVER_OBJECTS=str(objects))
-    run(sys.executable, "-m", "twine", "check", "--strict", *out.iterdir(), cwd=out)
+def wheel(python, tmp_path_factory):
+    out = tmp_path_factory.mktemp("dist")
+    SCRIPT["build"](python, out)
+    run(
+        sys.executable,
+        "-m",
+        "twine",
+        "check",
+        "--strict",
+        *out.glob("hilserver-*"),
+        cwd=out,
+    )
     (path,) = out.glob("*.whl")
     return path
 
 
 @pytest.fixture(scope="module")
-def installed(wheel, tmp_path_factory):
+def installed(python, wheel, tmp_path_factory):
     """The programs of an environment with nothing but the wheel, and a folder to work in."""
     folder = tmp_path_factory.mktemp("elsewhere")
-    run(sys.executable, "-m", "venv", folder / "venv", cwd=folder)
     bin_ = folder / "venv" / "bin"
-    run(
-        bin_ / "python",
-        "-m",
-        "pip",
-        "install",
-        "-q",
-        wheel,
-        *VERSIONS,
-        "pytest",
-        "pytest-asyncio",
-        cwd=folder,
-    )
+    run(*UV, "venv", "--python", python, folder / "venv", cwd=folder)
+    kit = (wheel, "pytest", "pytest-asyncio")
+    words = ("pip", "install", "--python", bin_ / "python", *VERSIONS, *kit)
+    run(*UV, *words, cwd=folder)
+    (folder / "first.yaml").write_text(CONFIG)
     return bin_, folder
+
+
+@pytest.fixture(scope="module")
+def objects(installed):
+    """The compiled code of this installation."""
+    [about] = (installed[1] / "venv").glob(
+        f"lib/*/site-packages/{OBJECTS}made_with.json"
+    )
+    return about.parent
 
 
 def test_the_wheel_has_one_package_at_its_top_and_the_page(wheel):
@@ -100,8 +115,8 @@ def test_the_wheel_has_one_package_at_its_top_and_the_page(wheel):
     assert not [name for name in names if name.startswith(("tests", "benchmarks"))]
 
 
-def test_it_names_its_interpreter_and_platform_and_the_terms_of_numba(wheel):
-    interpreter = f"cp{sys.version_info.major}{sys.version_info.minor}"
+def test_it_names_its_interpreter_and_platform_and_the_terms_of_numba(python, wheel):
+    interpreter = f"cp{Path(python).name.removeprefix('python').replace('.', '')}"
     assert re.search(
         f"-{interpreter}-{interpreter}-manylinux[0-9a-z_.]+[.]whl$", wheel.name
     )
@@ -131,7 +146,6 @@ def test_without_compiled_code_it_is_for_every_interpreter(tmp_path):
 
 def test_the_first_start_compiles_nothing(installed):
     bin_, folder = installed
-    (folder / "first.yaml").write_text(CONFIG)
     words = ["run", "--demo", "--duration", "3", "-c", "first.yaml"]
     cache = str(folder / "cache")
     said = run(
@@ -142,24 +156,43 @@ def test_the_first_start_compiles_nothing(installed):
     assert not list((folder / "cache").rglob("*.nbc"))
 
 
-def test_it_gives_the_bits_of_native_code(installed):
-    bin_, folder = installed
-    (folder / "drive.yaml").write_text(SCENARIO)
+@pytest.mark.parametrize(
+    "processor", [{}, {"NUMBA_CPU_NAME": "nehalem", "NUMBA_CPU_FEATURES": ""}]
+)
+def test_it_gives_the_bits_of_native_code(installed, processor, tmp_path):
+    bin_, _ = installed
+    (tmp_path / "drive.yaml").write_text(SCENARIO)
     words = ("simulate", "drive.yaml", "--duration", "8", "-o")
-    cache = str(folder / "cache")
-    run(bin_ / "hilserver", *words, "any.csv", cwd=folder, HILSERVER_CACHE_DIR=cache)
-    assert not list((folder / "cache").rglob("*.nbc"))
+    cache = {"HILSERVER_CACHE_DIR": str(tmp_path / "cache")}
+    run(bin_ / "hilserver", *words, "any.csv", cwd=tmp_path, **cache, **processor)
+    assert not list(tmp_path.rglob("*.nbc"))
     native = (sys.executable, "-m", "hilserver")
-    run(*native, *words, "native.csv", cwd=folder, PYTHONPATH=str(ROOT))
-    assert (folder / "any.csv").read_bytes() == (folder / "native.csv").read_bytes()
+    run(*native, *words, "native.csv", cwd=tmp_path, PYTHONPATH=str(ROOT))
+    assert (tmp_path / "any.csv").read_bytes() == (tmp_path / "native.csv").read_bytes()
 
 
-def test_other_versions_are_told_in_one_line_and_compiled(installed):
+def test_one_that_is_damaged_is_compiled_anew(installed, objects):
     bin_, folder = installed
-    [about] = (folder / "venv").glob(f"lib/*/site-packages/{OBJECTS}made_with.json")
+    cache = folder / "cache_beside_damage"
+    whole = {path: path.read_bytes() for path in objects.glob("*/step_*.nbc")}
+    for path, data in whole.items():
+        path.write_bytes(data[:2000] + bytes([data[2000] ^ 1]) + data[2001:])
+    try:
+        words = ["run", "--duration", "1", "-c", "first.yaml"]
+        run(bin_ / "hilserver", *words, cwd=folder, HILSERVER_CACHE_DIR=str(cache))
+    finally:
+        for path, data in whole.items():
+            path.write_bytes(data)
+    [compiled] = cache.rglob("*.nbc")
+    assert compiled.name.startswith("step_")
+
+
+def test_other_versions_are_told_in_one_line_and_compiled(installed, objects):
+    bin_, folder = installed
+    about = objects / "made_with.json"
     whole = about.read_text()
-    about.write_text(whole.replace(numba.__version__, "0.1"))
-    [hashed] = (path for path in about.parent.iterdir() if path.is_dir())
+    about.write_text(whole.replace(json.loads(whole)["numba"], "0.1"))
+    [hashed] = (path for path in objects.iterdir() if path.is_dir())
     hidden = hashed.rename(hashed.with_name("other"))
     try:
         cache = str(folder / "other_cache")
