@@ -1,4 +1,4 @@
-"""Rows that are missing from a log: no replay knows what the drive was told there."""
+"""Rows that are missing from a log: no replay knows the set-points of the drive there."""
 
 from collections.abc import Sequence
 

@@ -291,7 +291,7 @@ def test_drives_that_excite_little_are_judged_and_found_sound(manoeuvre):
 @pytest.mark.long
 @pytest.mark.parametrize("seed", [12, 13])
 def test_set_points_of_missing_rows_are_no_error_of_the_drive(seed):
-    """On ramps each missing row holds a set-point that the log does not tell."""
+    """On ramps each missing row holds a set-point that the log does not have."""
     made = replace(
         recipe("nothing drive", seed, 180.0),
         manoeuvre="ramps",

@@ -14,9 +14,9 @@ ROW_S, ROWS = 0.02, 500
 def log_without(rows, command):
     """A log without some rows; speeds come in rows of their own."""
     t_s = ROW_S * np.arange(ROWS)
-    told = ~np.isin(np.arange(ROWS), rows)
+    there = ~np.isin(np.arange(ROWS), rows)
     span = np.zeros(ROWS, dtype=np.int64)
-    sent = Channel(t_s[told], command[told], span[told])
+    sent = Channel(t_s[there], command[there], span[there])
     channels = dict.fromkeys(SETPOINTS, sent)
     channels |= {name: Channel(t_s, command, span) for name in SPEEDS}
     spans = (Span(0, None, 0.0, float(t_s[-1])),)
@@ -49,7 +49,7 @@ def test_what_answers_commands_of_a_missing_row_is_left_out():
     ("rows", "command"),
     [
         ([], RAMP),
-        ([100, 101, 300], np.full(ROWS, 10.0)),  # told the same before and after
+        ([100, 101, 300], np.full(ROWS, 10.0)),  # the same before and after
         (range(1, ROWS, 7), RAMP),  # nothing would be left
         (np.flatnonzero(np.arange(ROWS) % 9 < 3), RAMP),  # no clock
         (range(1, ROWS), RAMP),
