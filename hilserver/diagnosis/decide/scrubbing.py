@@ -36,7 +36,8 @@ TURNING = "velocity.angular_rad_s"
 
 def scrubs(problem: Problem, point: Point, unknown: Sequence[Unknown]) -> bool:
     """Return whether the turn is much smaller than by the wheels, and late or irregular."""
-    if not _turns_less(problem, point.model.fitted):
+    seen = problem.stage.log.has(*POSITION, YAW)
+    if not seen or not _turns_less(problem, point.model.fitted):
         return False
     irregular = bool(unknown) and unknown[0].family.regressors[0] == TURNING
     return irregular or late_turn(point) is not None
@@ -56,8 +57,8 @@ def may_scrub(library: Library, point: Point, rivals: Iterable[Fitted]) -> bool:
 
 
 def _turns_less(problem: Problem, fitted: Iterable[Fitted]) -> bool:
-    log, robot = problem.stage.log, problem.stage.robot
-    if robot.wheelbase_m is None or robot.is_mecanum or not log.has(*POSITION, YAW):
+    robot = problem.stage.robot
+    if robot.wheelbase_m is None or robot.is_mecanum:
         return False
     gains = (f for f in fitted if traits_of(f.candidate.cause).scrubs_as)
     return any(gain.theta[0] <= SCRUBBING_MUCH for gain in gains)

@@ -19,6 +19,7 @@ from hilserver.diagnosis.replay.kernels import (
     run_process,
     sample,
 )
+from hilserver.diagnosis.replay.missing_rows import without_unknown_commands
 from hilserver.diagnosis.replay.model import robot_with
 from hilserver.diagnosis.replay.stack import Stack, make_stack
 from hilserver.diagnosis.replay.stage import NO_POSES, Stage
@@ -105,8 +106,9 @@ class DriveStage(Stage):
         names = [n for n in (*SPEEDS, *DUTIES) if n in log]
         skips_s = self._unknown_s()
         self.settled_s = self.segments.start_s + np.minimum(skips_s, SETTLING_S)
+        known = without_unknown_commands(log, self._commanded, names)
         self.stack = make_stack(
-            log, names, self.segments, block_s=block_s, skip_s=skips_s
+            known, names, self.segments, block_s=block_s, skip_s=skips_s
         )
         self._rounded = any(step_of(log[n].values)[0] > 0.0 for n in SPEEDS if n in log)
         self._inputs, self._row = self._latched()

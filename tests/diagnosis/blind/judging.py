@@ -83,7 +83,8 @@ def told(made, findings):
     wrong = list(result.wrong)
     for name, value in result.values.items():
         null = TERMS[main_part(name)].null or 0.0
-        if (value.fitted - null) * (value.true - null) <= 0.0:
+        # an interval that holds the truth, on the other side of null, claims no sign
+        if (value.fitted - null) * (value.true - null) <= 0.0 and not value.in_ci95:
             wrong.append(f"sign of {name}")
     near = sum(bool(v.within_20 or v.in_ci95) for v in result.values.values())
     how = result.outcome

@@ -98,8 +98,7 @@ def test_the_turn_is_on_time_only_where_the_log_shows_it(latencies, expected):
 def test_a_gain_that_may_be_late_may_be_friction(gain, late_s, expected):
     """Of a gain that ties with a radius as of one that was fitted."""
     library = shown(("imu_latency", late_s, 1e-4))
-    log = SimpleNamespace(has=lambda *_: True)
-    library.problem = SimpleNamespace(stage=SimpleNamespace(log=log, robot=ROBOT))
+    library.problem = SimpleNamespace(stage=SimpleNamespace(robot=ROBOT))
     none, fitted = np.zeros(0), Fitted(GAIN, (gain,))
     with_gain = Point(Model((fitted,)), none, none, none, none, none)
     assert may_scrub(library, with_gain, ()) == expected

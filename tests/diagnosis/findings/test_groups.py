@@ -44,9 +44,9 @@ TRIO = {"wheel_radius", "rotation_gain", "nav_scale", "traction_slip"}
 @pytest.mark.parametrize(
     "sizes",
     [
-        {"wheel_radius": 1.0, "rotation_gain": -0.5},
-        {"wheel_radius": 1.0, "nav_scale": -0.4},
-        {"rotation_gain": 0.7, "nav_scale": 0.5},
+        {"wheel_radius": 0.3, "rotation_gain": -0.12},
+        {"wheel_radius": 0.3, "nav_scale": -0.12},
+        {"rotation_gain": 0.2, "nav_scale": 0.15},
     ],
 )
 def test_two_of_three_that_change_two_things_are_one_group(sizes):
@@ -77,7 +77,7 @@ def test_one_of_them_alone_has_its_name(sizes):
 
 
 def test_a_cause_with_no_common_rival_keeps_a_name_of_its_own():
-    findings = found({"wheel_radius": 1.0, "rotation_gain": -0.5, "gyro_bias": 0.6})
+    findings = found({"wheel_radius": 0.3, "rotation_gain": -0.12, "gyro_bias": 0.6})
     alone = [f.causes for f in findings if f.verdict == Verdict.NAMED]
     assert alone == [("gyro_bias",)]
     assert len(findings) == 3

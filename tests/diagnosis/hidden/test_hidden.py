@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from hilserver_injector import Noise, Recipe
+from hilserver_injector import Noise, Recipe, Recorder
 from hilserver_injector.cases import cases, twins
 
 from hilserver.diagnosis.for_others import user_files
@@ -285,6 +285,18 @@ def test_the_verdict_does_not_hang_on_the_seed_of_the_draws():
 def test_drives_that_excite_little_are_judged_and_found_sound(manoeuvre):
     """On the spot no forward speed, in ramps no step of a set-point, on straights no turn."""
     made = replace(recipe("nothing drive", 21, 90.0), manoeuvre=manoeuvre)
+    nothing_is_found(judged(made).findings)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [12, 13])
+def test_set_points_of_missing_rows_are_no_error_of_the_drive(seed):
+    """On ramps each missing row holds a set-point that the log does not have."""
+    made = replace(
+        recipe("nothing drive", seed, 180.0),
+        manoeuvre="ramps",
+        recorder=Recorder(missing_rows=0.02),
+    )
     nothing_is_found(judged(made).findings)
 
 
