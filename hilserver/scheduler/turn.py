@@ -218,7 +218,8 @@ def turn(step: Any, at: Loop, virtual: bool) -> int:
     law[lw.PERIOD] = load_acquire(control, ex.PACED_PERIOD)
     command = load_acquire(control, ex.COMMAND)
     if not may_run(law, command):
-        return int(stand_still(step, at, command, now_ns))
+        # Virtual time stands as well: the next tick keeps its planned start, and no lease ages.
+        return int(stand_still(step, at, command, now_ns - 1 if virtual else now_ns))
     if lw.advance(law, now_ns) == lw.WAIT:
         return 0
 
