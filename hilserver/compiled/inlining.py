@@ -4,7 +4,9 @@ numba reads a helper anew at each of its places, copies what it has read twice, 
 variables of the function, and throws the second copy away. That was a sixth of a cold start.
 """
 
-from typing import Any
+import inspect
+from collections.abc import Callable
+from typing import Any, Final
 
 from numba.core import ir
 from numba.core.compiler import Compiler, DefaultPassBuilder
@@ -13,12 +15,23 @@ from numba.core.inline_closurecall import InlineWorker
 from numba.core.untyped_passes import InlineInlinables
 
 
+def _takes(method: Callable[..., Any], *names: str) -> bool:
+    return set(names) <= set(inspect.signature(method).parameters)
+
+
+IS_KNOWN: Final = _takes(
+    InlineWorker.inline_ir, "caller_ir", "block", "i", "callee_ir"
+) and _takes(InlineInlinables._do_work, "inline_worker")
+"""Whether numba is made as it was here; if not, its own way is taken."""
+
+
 class Pipeline(Compiler):  # type: ignore[misc]
     """The compiler of our kernels; what it makes is what numba's own makes."""
 
     def define_pipelines(self) -> list[PassManager]:
         """Return numba's passes."""
-        return [_ours(passes) for passes in super().define_pipelines()]
+        pipelines: list[PassManager] = super().define_pipelines()
+        return [_ours(passes) for passes in pipelines] if IS_KNOWN else pipelines
 
 
 class _Fresh(ir.Block):  # type: ignore[misc]
