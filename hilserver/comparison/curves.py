@@ -25,21 +25,24 @@ class Curves:
     """
 
     def __init__(self) -> None:
-        self._end_ns = self._bits = 0
+        self._bits = 0
+        self._begin_ns: int | None = None
+        self._end_ns = 0
         self._shift_ns: dict[int, int] = {}
         self._kept: dict[str, NDArray[np.float64]] = {}
 
     def add(self, piece: Shared, names: list[str]) -> None:
-        """Take in the rows of one segment; segments stand one behind the other."""
-        shift_ns = self._shift_ns.setdefault(
-            piece.segment, self._end_ns - int(piece.t_ns[0])
-        )
-        t_ns = piece.t_ns + shift_ns
-        self._end_ns = int(t_ns[-1])
-        while self._end_ns >> self._bits >= _MOST_PLACES:
+        """Take in the rows of one segment; later ones stand behind the first, on its clock."""
+        if self._begin_ns is None:
+            self._begin_ns = self._end_ns = int(piece.t_ns[0])
+        behind_ns = self._end_ns - int(piece.t_ns[0])
+        shift_ns = self._shift_ns.setdefault(piece.segment, behind_ns)
+        since_ns = piece.t_ns + (shift_ns - self._begin_ns)
+        self._end_ns = int(piece.t_ns[-1]) + shift_ns
+        while since_ns[-1] >> self._bits >= _MOST_PLACES:
             self._double()
 
-        place = t_ns >> self._bits
+        place = since_ns >> self._bits
         begins = np.flatnonzero(np.diff(place, prepend=-1))
         at = place[begins]
         for name in names:
@@ -83,7 +86,8 @@ class Curves:
         difference = np.repeat(kept[:, 4], width, axis=-1)
 
         steps = np.arange(width) / width
-        t_s = ((used[:, None] + steps) * (1e-9 * 2**self._bits)).ravel()
+        begin_s = (self._begin_ns or 0) * 1e-9
+        t_s = (begin_s + (used[:, None] + steps) * (1e-9 * 2**self._bits)).ravel()
         signals = [
             {
                 "name": parting.signal,

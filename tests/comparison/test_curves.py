@@ -56,6 +56,15 @@ def test_segments_stand_one_behind_the_other():
     assert shown["t_s"] == sorted(shown["t_s"])
 
 
+def test_the_axis_is_the_clock_of_the_first_segment():
+    t_s = np.arange(100) * 0.01 - 5.0
+    a = log({"pose.x_m": np.zeros(100)}, t_s=t_s)
+    b = log({"pose.x_m": (np.arange(100) >= 50) * 1.0}, t_s=t_s)
+    found, shown = drawn(a, b)
+    assert shown["t_s"][0] == -5.0
+    assert shown["signals"][0]["parts_at_s"] == found.partings[0].t_s == -4.5
+
+
 def test_a_value_beside_none_and_equal_recordings():
     gap = np.where(np.arange(300) == 200, np.nan, 1.0)
     one = log({"pose.x_m": np.ones(300)})

@@ -116,7 +116,7 @@ class Jobs:
     def __init__(self, setup: Setup, tasks: Supervisor | None = None) -> None:
         self._tasks = Supervisor() if tasks is None else tasks
         self._setup = setup
-        self._jobs: deque[Job] = deque(maxlen=MAX_KEPT)
+        self._jobs: list[Job] = []
         self._turns = {"diagnosis": asyncio.Lock(), "comparison": asyncio.Lock()}
         reports = setup.folder("reports")
         earlier = [row for row in reports_in(reports) if row["title"] is not None][
@@ -183,6 +183,9 @@ class Jobs:
             folder = folder.with_name(f"{folder.name}-{self._next}")
         job = Job(self._next, log, folder, kind)
         self._next += 1
+        ended = [j for j in self._jobs if j.state not in ("running", "waiting")]
+        if len(self._jobs) >= MAX_KEPT and ended:  # what runs is never forgotten
+            self._jobs.remove(ended[0])
         self._jobs.append(job)
         job.task = self._tasks.spawn(partial(self._run, job, words), kind)
         return job.number

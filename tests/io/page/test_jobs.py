@@ -7,7 +7,7 @@ import os
 import pytest
 
 from hilserver.io.page.hand import RefusedError
-from hilserver.io.page.jobs import MAX_WAITING, Jobs, ShareOfTime
+from hilserver.io.page.jobs import MAX_KEPT, MAX_WAITING, Jobs, ShareOfTime
 from hilserver.io.page.setup import OpcUaAccess, Serving, Setup
 
 
@@ -98,6 +98,16 @@ async def test_a_comparison_does_not_wait_for_a_diagnosis(tmp_path, monkeypatch)
             await asyncio.sleep(0.01)
     with pytest.raises(RefusedError, match=r"there is no 'c\.csv'"):
         jobs.compare("a.csv", "c.csv")
+
+    for _ in range(MAX_KEPT + 5):
+        number = jobs.compare("a.csv", "b.csv")
+        async with asyncio.timeout(60):
+            while jobs.view()[0]["state"] != "done":  # noqa: ASYNC110
+                await asyncio.sleep(0.01)
+    kept = jobs.view()
+    assert len(kept) == MAX_KEPT
+    assert kept[0]["number"] == number
+    assert kept[-1]["state"] == "running"  # the diagnosis is not forgotten
     await jobs.close()
 
 
