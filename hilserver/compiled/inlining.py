@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from numba.core import ir
-from numba.core.compiler import Compiler, DefaultPassBuilder
+from numba.core.compiler import DefaultPassBuilder
 from numba.core.compiler_machinery import PassManager, register_pass
 from numba.core.inline_closurecall import InlineWorker
 from numba.core.untyped_passes import InlineInlinables
@@ -23,15 +23,6 @@ IS_KNOWN: Final = _takes(
     InlineWorker.inline_ir, "caller_ir", "block", "i", "callee_ir"
 ) and _takes(InlineInlinables._do_work, "inline_worker")
 """Whether numba is made as it was here; if not, its own way is taken."""
-
-
-class Pipeline(Compiler):  # type: ignore[misc]
-    """The compiler of our kernels; what it makes is what numba's own makes."""
-
-    def define_pipelines(self) -> list[PassManager]:
-        """Return numba's passes."""
-        pipelines: list[PassManager] = super().define_pipelines()
-        return [_ours(passes) for passes in pipelines] if IS_KNOWN else pipelines
 
 
 class _Fresh(ir.Block):  # type: ignore[misc]
@@ -68,10 +59,13 @@ class _Inlining(InlineInlinables):  # type: ignore[misc]
 
 
 def _untyped(state: Any) -> PassManager:
-    return _ours(DefaultPassBuilder.define_untyped_pipeline(state))
+    return ours(DefaultPassBuilder.define_untyped_pipeline(state))
 
 
-def _ours(passes: PassManager) -> PassManager:
+def ours(passes: PassManager) -> PassManager:
+    """Return numba's passes with our way of putting helpers into their callers."""
+    if not IS_KNOWN:
+        return passes
     passes.passes = [
         (_Inlining if kind is InlineInlinables else kind, said)
         for kind, said in passes.passes

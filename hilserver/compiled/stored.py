@@ -20,14 +20,14 @@ import numba.experimental.function_type
 from numba.core import sigutils, typeinfer
 from numba.core.caching import CompileResultCacheImpl, _Cache
 from numba.core.ccallback import CFunc
-from numba.core.compiler import CompileResult
+from numba.core.compiler import Compiler, CompileResult
+from numba.core.compiler_machinery import PassManager
 from numba.core.dispatcher import Dispatcher
 from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
 from hilserver.cache import Shelf
 from hilserver.compiled import sharing
-from hilserver.compiled.inlining import Pipeline
 from hilserver.compiled.supplied import ANY_PROCESSOR, Supplied
 
 WAIT_S: Final = 300.0
@@ -49,6 +49,17 @@ for _owner, _names in (
     for _name in _names:
         # AttributeError: this version of numba is not the one we know
         getattr(_owner, _name)
+
+
+class Pipeline(Compiler):  # type: ignore[misc]
+    """The compiler of our kernels; what it makes is what numba's own makes."""
+
+    def define_pipelines(self) -> list[PassManager]:
+        """Return numba's passes, one of which is ours."""
+        # What is in the cache needs nothing of it.
+        from hilserver.compiled.inlining import ours  # noqa: PLC0415
+
+        return [ours(passes) for passes in super().define_pipelines()]
 
 
 class Stored(_Cache):  # type: ignore[misc]

@@ -95,7 +95,7 @@ def judge(
             known = [] if described is None else described.against(found.plant)
             for line in (foretold(found, robot), *known, *questions):
                 say(begin + line)
-        return found.noticed(*questions)
+        return found.noticed(*questions) if questions else found
 
     if task.groups:
         read = {name: read_in(paths, name) for name, paths in task.groups}

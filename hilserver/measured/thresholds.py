@@ -65,7 +65,6 @@ CLOCK_LEAST_S: Final = 0.06  # s: a smaller offset is a latency
 CLOCK_SLOWEST_S: Final = 0.25
 CLOCK_FEWEST_CHUNKS: Final = 6  # stretches; fewer show no offset
 CLOCK_SURE_SD: Final = 6.0  # deviations beyond which a clock is off
+# successive messages of a topic that are earlier than one before them: a recorder's threads
+# exchange one or two, a clock that was set back does so for as long as it was set back
 SET_BACK_MESSAGES: Final = 5
-"""Successive messages of a topic that are earlier than one before them: a recorder's threads
-exchange one or two, a clock that was set back does so for as long as it was set back.
-"""

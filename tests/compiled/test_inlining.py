@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from hilserver.compiled import part
-from hilserver.compiled.inlining import Pipeline
+from hilserver.compiled.stored import Pipeline
 
 
 def built(**options):

@@ -105,7 +105,9 @@ def named(found):
 
 def test_satellites_of_half_a_metre_show_a_robot_that_turns_too_little():
     found = found_in(seen("0.5 m", 5, {"rotation_gain": -0.2}, duration_s=150.0))
-    assert named(found) == [("rotation_gain",)]
+    # Fixes are too rare to show that the turn is on time: friction would make it late.
+    (causes,) = named(found)
+    assert set(causes) == {"rotation_gain", "friction_anisotropy"}
     low, high = found.findings[0].parameters["rotation_gain"].ci95
     assert low < -0.2 < high
     reasons = {one.cause: one.reason for one in found.not_judged}
