@@ -42,7 +42,7 @@ BADGES = {
 LARGE = 1.5
 """Residual relative to noise alone from which a replay is clearly wrong; error before relative to
 that after from which a model is clearly better."""
-FAR = 3.0
+FAR_FROM_NOISE = 3.0
 """Error of the position relative to that of noise alone from which no simulation matches: where it
 does, this is about 1."""
 MOST_TIMES = 1000
@@ -118,7 +118,7 @@ def _unexplained(findings: Findings) -> str:
             changed = -math.expm1(-HORIZON_S / noise.ou_tau_s)
             variance += 2.0 * noise.ou_sd**2 * changed
     noise_m = math.sqrt(variance)
-    if error_m <= FAR * noise_m:
+    if error_m <= FAR_FROM_NOISE * noise_m:
         return ""
 
     error, noise_alone = (number(m, "m", digits=2) for m in (error_m, noise_m))
