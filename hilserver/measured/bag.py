@@ -1,12 +1,14 @@
 """ROS 2 bags through a mapping: topic and field to signal."""
 
+from collections.abc import Sequence
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
 from hilserver.arrays import Array, Indices
 from hilserver.errors import LogError, meant
-from hilserver.logs.bag_messages import Topic, is_bag, read_messages
+from hilserver.logs.bag_messages import Bag, Topic, is_bag, read_messages
 from hilserver.logs.table import first_of_equal, repeated_stamps
 from hilserver.measured.mapping import LogMapping
 from hilserver.measured.messages import Decoder, TopicError
@@ -38,10 +40,7 @@ def read_bag(path: Path, mapping: LogMapping) -> Recording:
     parts = []
     failed = []
     for name in sorted(wanted & set(topics)):
-        for bag in bags:
-            _refuse_set_back(bag.path, name, bag.messages.get(name, []))
-        sent = [message for bag in bags for message in bag.messages.get(name, ())]
-        if not sent:
+        if not any(bag.messages.get(name) for bag in bags):
             mapped = mapping.channels.items()
             signals = [s for s, channel in mapped if channel.topic == name]
             notices.append(
@@ -50,7 +49,7 @@ def read_bag(path: Path, mapping: LogMapping) -> Recording:
             )
             continue
         try:
-            parts.append(_part(path, name, topics[name], sent, mapping, notices))
+            parts.append(_part(path, name, topics[name], bags, mapping, notices))
         except TopicError as error:
             failed.append(error)
     if not parts and failed:
@@ -71,7 +70,7 @@ def _part(
     path: Path,
     name: str,
     topic: Topic,
-    messages: list[tuple[int, bytes]],
+    bags: Sequence[Bag],
     mapping: LogMapping,
     notices: list[str],
 ) -> tuple[Indices, dict[str, Array]]:
@@ -81,7 +80,9 @@ def _part(
     mapped = mapping.channels.items()
     fields = {signal: str(c.field) for signal, c in mapped if c.topic == name}
     is_from_header = mapping.time.stamp == "header"
-    stamps, values = decoder.numbers(
+    of_file = [bag.messages.get(name, []) for bag in bags]
+    messages = list(chain.from_iterable(of_file))
+    rows, stamps, values = decoder.numbers(
         messages, list(fields.values()), from_header=is_from_header
     )
 
@@ -93,9 +94,21 @@ def _part(
     for (signal, at), column in zip(fields.items(), values.T, strict=True):
         converted.append(as_signal(mapping, signal, column, at, place))
 
+    values = np.stack(converted, axis=1)
+
+    # Files of one bag may stand in any order, and other frames on a topic have other clocks.
+    sampled = np.isfinite(values).any(axis=1)
+    begin = 0
+    for bag, own in zip(bags, of_file, strict=True):
+        used = sampled & (rows >= begin) & (rows < begin + len(own))
+        _refuse_set_back(
+            f"{bag.path}: topic '{name}'", rows[used] - begin, stamps[used]
+        )
+        begin += len(own)
+
     order = np.argsort(stamps, kind="stable")
     stamps = stamps[order]
-    values = np.stack(converted, axis=1)[order]
+    values = values[order]
     segment = np.zeros(len(stamps), dtype=np.int64)
     values, first, repeated = first_of_equal(stamps, segment, values)
     notices += decoder.notices
@@ -103,13 +116,11 @@ def _part(
     return stamps[first], dict(zip(fields, values.T, strict=True))
 
 
-def _refuse_set_back(path: Path, name: str, messages: list[tuple[int, bytes]]) -> None:
-    """Refuse a file if the recorder's clock was set back meanwhile.
+def _refuse_set_back(where: str, rows: Indices, stamps_ns: Indices) -> None:
+    """Refuse a file if the clock of its stamps was set back meanwhile.
 
     Sorted, the messages after that would stand between those before it.
     """
-    # As floats: a stamp that ran over fits in no integer of 64 bits with a sign.
-    stamps_ns = np.array([stamp_ns for stamp_ns, _ in messages], dtype=np.float64)
     latest_ns = np.maximum.accumulate(stamps_ns)
     in_time = np.append(np.flatnonzero(stamps_ns >= latest_ns), len(stamps_ns))
     late = np.diff(in_time) - 1
@@ -117,8 +128,8 @@ def _refuse_set_back(path: Path, name: str, messages: list[tuple[int, bytes]]) -
         return
 
     last = int(in_time[np.argmax(late)])
-    by_s = (messages[last][0] - messages[last + 1][0]) * 1e-9
+    by_s = (stamps_ns[last] - stamps_ns[last + 1]) * 1e-9
     raise LogError(
-        f"{path}: topic '{name}': the clock was set back by {by_s:.3g} s after message"
-        f" {last + 1}; cut the bag there and give one part"
+        f"{where}: the clock was set back by {by_s:.3g} s after message {rows[last] + 1}; cut the"
+        " bag there and give one part"
     )

@@ -9,6 +9,7 @@ import numpy as np
 from hilserver.arrays import Array, Indices
 from hilserver.measured.channels import NAV_X, NAV_Y, POSITION, YAW
 from hilserver.measured.data import MeasuredLog
+from hilserver.measured.own_odometry import wheel_way
 from hilserver.measured.pauses import Pieces, cut
 from hilserver.measured.thresholds import (
     CORRECTION_LEAST_M,
@@ -34,9 +35,10 @@ def cut_at_corrections(log: MeasuredLog) -> MeasuredLog:
     largest_m, count = 0.0, 0
     for index, span in enumerate(log.spans):
         t_s, columns = _pose(log, index)
+        rolled = _rolled(log, index, t_s)
         found: set[int] = set()
         for values, least in columns:
-            jumps, size = _jumps(values, least)
+            jumps, size = _jumps(values, least, rolled)
             found |= set(jumps.tolist())
             largest_m = max(largest_m, size if least == CORRECTION_LEAST_M else 0.0)
         at = sorted(found)
@@ -48,9 +50,11 @@ def cut_at_corrections(log: MeasuredLog) -> MeasuredLog:
         edges.append(list(zip(begins_s, ends_s, strict=True)))
     if not count:
         return log
+    # a heading may jump alone
+    by = f", by up to {largest_m:.2g} m" if largest_m > 0.0 else ""
     note = (
-        f"the pose jumps {count} times, by up to {largest_m:.2g} m, as where a map corrects itself:"
-        " the log was cut there, and each part has a start pose of its own"
+        f"the pose jumps {count} times{by}, as where a map corrects itself: the log was cut there,"
+        " and each part has a start pose of its own"
     )
     return replace(cut(log, edges), notices=(*log.notices, note))
 
@@ -72,8 +76,23 @@ def _pose(log: MeasuredLog, index: int) -> tuple[Array, list[tuple[Array, float]
     return t_s, columns
 
 
-def _jumps(values: Array, least: float) -> tuple[Indices, float]:
-    """Return after which samples a coordinate jumps and stays, and its largest jump."""
+def _rolled(log: MeasuredLog, index: int, t_s: Array) -> Array:
+    """Return how far the wheels went between poses, up to a scale, shape (n - 1,)."""
+    way = wheel_way(log, index)
+    if way is None or len(t_s) < 2:
+        return np.zeros(max(len(t_s) - 1, 0))
+    ahead, turned = (np.interp(t_s, way.t_s, sums) for sums in (way.ahead, way.turned))
+    return np.abs(np.diff(ahead)) + np.abs(np.diff(turned))
+
+
+def _jumps(values: Array, least: float, rolled: Array) -> tuple[Indices, float]:
+    """Return after which samples a coordinate jumps and stays, and its largest jump.
+
+    Parameters
+    ----------
+    rolled : array
+        How far the wheels went at each step: a coordinate does not jump where they carried it.
+    """
     step = np.diff(values)
     if len(step) <= 2 * AROUND_JUMP:
         return np.zeros(0, dtype=np.int64), 0.0
@@ -84,6 +103,11 @@ def _jumps(values: Array, least: float) -> tuple[Indices, float]:
     beyond = step - np.clip(step, sides.min(axis=0), sides.max(axis=0))
     sd = TO_SD * float(np.median(np.abs(step - sides.mean(axis=0))))
     size = np.abs(beyond)
+    driven = rolled > 0.1 * rolled.max()
+    if driven.any():
+        usual = float(np.median(np.abs(step[driven]) / rolled[driven]))
+        # a straight or a turn goes further along one coordinate than the usual step
+        size = np.maximum(size - 2.0 * usual * rolled, 0.0)
     high = np.flatnonzero(size > max(CORRECTION_SD * sd, least))
     kept = []
     for i in high.tolist():

@@ -71,6 +71,17 @@ class Field:
         except _AbsentError:
             return math.nan
 
+    def transform(self, message: Any) -> Any:
+        """Return the transform of a tf2_msgs/TFMessage that the path names; None if it has none."""
+        match self._steps:
+            case ["transforms", _Index(key), *_]:
+                items = message.transforms
+                names = names_of(message, items)
+                place = names.index(key) if key in names else key
+                is_there = isinstance(place, int) and place < len(items)
+                return items[place] if is_there else None
+        return None
+
     def mistake(self, n: int) -> str | None:
         """Return what is wrong with the path after `n` messages, or None."""
         if self.absent == n and not self._may_be_absent:

@@ -57,8 +57,16 @@ def placed(recordings: Sequence[Recording]) -> list[Recording]:
                 origin = known[0]
                 notices.append(OF_SATELLITES)
             plane = degrees if origin is None else east_north_m(degrees, origin)
+            # The plane is curved: a receiver that repeats one number moved by a hundredth of a
+            # micrometre, and does not seem to repeat it.
+            plane = np.round(plane / STANDS_M) * STANDS_M
             if len(known):
                 _refuse_implausible(recording, plane)
+            else:
+                notices.append(
+                    f"{recording.path}: contains no fix of the satellites, so there is no position;"
+                    " record where the receiver sees the sky"
+                )
             others = {n: v for n, v in part.columns.items() if n not in FIX}
             columns = {**others, **dict(zip(POSITION, plane.T, strict=True))}
             parts.append(replace(part, columns=columns))
@@ -111,8 +119,14 @@ def _fixes(recording: Recording, part: Stamped, notices: list[str]) -> Array:
                 " them: a robot has one position"
             )
     degrees = np.stack([columns[FIX_LATITUDE], columns[FIX_LONGITUDE]], axis=1)
+    is_there = np.isfinite(degrees).all(axis=1)  # a table has rows without any
+    is_lost = ~degrees.any(axis=1)
+    if FIX_STATUS in columns:
+        is_lost |= columns[FIX_STATUS] < 0.0  # sensor_msgs/NavSatStatus: -1 is no fix
+    is_lost &= is_there
+    # what a receiver writes without a fix may be no place at all
     largest = np.array([90.0, 180.0])
-    wrong = np.flatnonzero((np.abs(degrees) > largest).any(axis=1))
+    wrong = np.flatnonzero((np.abs(degrees) > largest).any(axis=1) & ~is_lost)
     if wrong.size:
         row = int(wrong[0])
         raise LogError(
@@ -120,11 +134,6 @@ def _fixes(recording: Recording, part: Stamped, notices: list[str]) -> Array:
             f" {degrees[row, 1]:.9g} is no place on the earth; map degrees, or write the unit, as"
             ' {unit: "1", scale: 1e-7}'
         )
-    is_there = np.isfinite(degrees).all(axis=1)  # a table has rows without any
-    is_lost = ~degrees.any(axis=1)
-    if FIX_STATUS in columns:
-        is_lost |= columns[FIX_STATUS] < 0.0  # sensor_msgs/NavSatStatus: -1 is no fix
-    is_lost &= is_there
     is_poor = np.zeros_like(is_lost)
     if FIX_VARIANCE in columns:
         variance = columns[FIX_VARIANCE]

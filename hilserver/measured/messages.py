@@ -119,8 +119,8 @@ class Decoder:
         fields: Sequence[str],
         *,
         from_header: bool,
-    ) -> tuple[Indices, Array]:
-        """Return stamps [ns] and the fields of every message, shapes (n,) and (n, n_fields).
+    ) -> tuple[Indices, Indices, Array]:
+        """Return which messages can be used, their stamps [ns], and fields, shape (n, n_fields).
 
         NaN if a message does not hold a field.
 
@@ -135,13 +135,16 @@ class Decoder:
         stamps = np.zeros(len(messages), dtype=np.int64)
         values = np.full((len(messages), len(fields)), np.nan)
         decoded = np.zeros(len(messages), dtype=np.bool_)
+        elsewhere = np.zeros(len(messages), dtype=np.bool_)
         failed = ""
         for row, (received_ns, data) in enumerate(messages):
             try:
                 message = self.decode(data)
-                stamps[row] = (
-                    _header_ns(self._where, message) if from_header else received_ns
-                )
+                stamp_ns: int | None = received_ns
+                if from_header:
+                    stamp_ns = _header_ns(self._where, message, readers)
+                stamps[row] = stamp_ns or 0
+                elsewhere[row] = stamp_ns is None
             except LogError:
                 raise
             except Exception as error:  # noqa: BLE001 -- foreign bytes fail decoders in many ways
@@ -160,16 +163,16 @@ class Decoder:
         )
         self._complain(readers, int(decoded.sum()))
         if from_header:
+            unset = decoded & ~elsewhere & (stamps == 0)
             decoded &= stamps != 0
             if not decoded.any():
                 raise LogError(
                     f"{self._where}: its headers have no time stamps; use 'stamp: received'"
                 )
             self._leave_out(
-                int((stamps == 0).sum()),
-                "messages without a time stamp in their header",
+                int(unset.sum()), "messages without a time stamp in their header"
             )
-        return stamps[decoded], values[decoded]
+        return np.flatnonzero(decoded), stamps[decoded], values[decoded]
 
     def _leave_out(self, count: int, what: str) -> None:
         if count:
@@ -194,11 +197,17 @@ def full_type(name: str) -> str:
     return name if "/" in rest or not rest else f"{package}/msg/{rest}"
 
 
-def _header_ns(where: str, message: Any) -> int:
-    listed = getattr(message, "transforms", None)
+def _header_ns(where: str, message: Any, fields: Sequence[Field]) -> int | None:
+    """Return the stamp of what holds the fields; None if that is not in this message."""
+    holder = message
+    if hasattr(message, "transforms"):
+        # each transform of a list has a stamp of its own
+        found = (field.transform(message) for field in fields)
+        holder = next((one for one in found if one is not None), None)
+    if holder is None:
+        return None
     try:
-        # a list of transforms has a stamp for each
-        stamp = (listed[0] if listed else message).header.stamp
+        stamp = holder.header.stamp
         rest = stamp.nanosec if hasattr(stamp, "nanosec") else stamp.nsec
         return int(stamp.sec) * 1_000_000_000 + int(rest)
     except AttributeError:

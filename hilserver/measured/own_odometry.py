@@ -38,7 +38,7 @@ class WheelWay:
 
 def without_own_odometry(log: MeasuredLog) -> MeasuredLog:
     """Return a log without position and heading that are nothing but the wheels' odometry."""
-    ways = [_way(log, span) for span in range(len(log.spans))]
+    ways = [wheel_way(log, span) for span in range(len(log.spans))]
     gone: list[str] = []
     if log.has(*POSITION) and _is_copied(_steps_ahead(log), ways, "ahead"):
         gone += POSITION
@@ -52,10 +52,12 @@ def without_own_odometry(log: MeasuredLog) -> MeasuredLog:
     )
 
 
-def _way(log: MeasuredLog, span: int) -> WheelWay | None:
+def wheel_way(log: MeasuredLog, span: int) -> WheelWay | None:
+    """Return how far the wheels went in a span; None if a side has too few samples there."""
     sides = []
     for names in ([f"wheel.{w}.speed_rpm" for w in side] for side in SIDES):
-        there = [log[name].of(span) for name in names if name in log]
+        known = [log[name].of(span) for name in names if name in log]
+        there = [one for one in known if len(one[0])]  # a wheel may be silent in a span
         if not there or len(there[0][0]) < FEWEST_STEPS:
             return None
         t_s = there[0][0]

@@ -142,6 +142,7 @@ def findings(**changes):
 def nothing_found():
     return findings(
         verdict="nothing_found",
+        baseline={"position_m": 0.07, "yaw_rad": 0.31},
         findings=(),
         total_gain={},
         patch_gain={},

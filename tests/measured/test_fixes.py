@@ -101,6 +101,33 @@ def test_impossible_fixes_are_one_sentence(tmp_path, lat, says):
         read_measured([table(tmp_path, lat=lat)], tmp_path / "map.yaml")
 
 
+def test_what_a_receiver_writes_without_a_fix_need_not_be_a_place(tmp_path):
+    lat = ORIGIN[0] + 1e-6 * np.arange(300)
+    lat[:10] = 999.0
+    status = np.where(np.arange(300) < 10, -1.0, 0.0)
+    path = table(tmp_path, lat=lat, more="  fix.status: {column: st}\n", st=status)
+    log = read_measured([path], tmp_path / "map.yaml")
+    assert len(log["nav.x_m"]) == 290
+
+
+def test_degrees_that_repeat_are_metres_that_repeat(tmp_path):
+    """The plane is curved: a step to the east alone moves the metres to the north as well."""
+    lat = np.round(ORIGIN[0] + 1e-6 * np.arange(300), 5)
+    lon = np.round(ORIGIN[1] + 1e-6 * np.arange(300), 5)
+    path = table(tmp_path, lat=lat, lon=lon)
+    log = read_measured([path], tmp_path / "map.yaml")
+    for degrees, name in ((lat, "nav.y_m"), (lon, "nav.x_m")):
+        repeats = np.diff(degrees) == 0.0
+        assert np.array_equal(np.diff(log[name].values) == 0.0, repeats)
+
+
+def test_a_log_without_any_fix_says_so(tmp_path):
+    path = table(tmp_path, lat=np.full(300, np.nan))
+    log = read_measured([path], tmp_path / "map.yaml")
+    assert "nav.x_m" not in log
+    assert "contains no fix of the satellites" in " ".join(log.notices)
+
+
 def test_a_receiver_that_repeats_one_fix_is_one_sentence(tmp_path):
     path = table(tmp_path, lat=np.full(300, ORIGIN[0]), lon=np.full(300, ORIGIN[1]))
     with pytest.raises(LogError, match="never changes: the receiver repeats one fix"):

@@ -203,17 +203,16 @@ def test_joints_are_found_by_their_names_in_any_order(tmp_path):
         measured(tmp_path, bag, speed=("/joint_states", "velocity[front_lefd_joint]"))
 
 
+def frame(i, name, x):
+    types, g = store().types, "geometry_msgs/msg/"
+    transform = types[g + "Transform"](
+        types[g + "Vector3"](x, 0.0, 0.0), types[g + "Quaternion"](0.0, 0.0, 0.0, 1.0)
+    )
+    return types[g + "TransformStamped"](header(types, i), name, transform)
+
+
 def test_transforms_are_found_by_their_frames(tmp_path):
     types, kind = store().types, "tf2_msgs/msg/TFMessage"
-    g = "geometry_msgs/msg/"
-
-    def frame(i, name, x):
-        transform = types[g + "Transform"](
-            types[g + "Vector3"](x, 0.0, 0.0),
-            types[g + "Quaternion"](0.0, 0.0, 0.0, 1.0),
-        )
-        return types[g + "TransformStamped"](header(types, i), name, transform)
-
     messages = []
     for i in range(100):
         frames = [frame(i, "base_link", 0.1 * i), frame(i, "camera", 9.0)]
@@ -227,6 +226,24 @@ def test_transforms_are_found_by_their_frames(tmp_path):
     assert set(np.diff(log["nav.x_m"].values).round(6)) <= {0.1, 0.2}
     with pytest.raises(LogError, match="select it by name, as transforms"):
         measured(tmp_path, bag, x_m=("/tf", x.format(0)))
+
+
+def test_a_transform_has_the_stamp_of_its_own_header(tmp_path):
+    """Other frames in the message have other clocks, and a list may be empty."""
+    types, kind = store().types, "tf2_msgs/msg/TFMessage"
+    sent = [
+        [frame(300 - i, "odom", 0.0), frame(i, "robot", 0.1 * i)] for i in range(100)
+    ]
+    sent[40], sent[50] = [], [frame(0, "odom", 0.0)]
+    messages = [
+        ("/tf", kind, at(i), types[kind](list_)) for i, list_ in enumerate(sent)
+    ]
+    bag = write(tmp_path / "bag", messages)
+    x = "transforms[robot].transform.translation.x"
+    log = measured(tmp_path, bag, stamp=True, x_m=("/tf", x))
+    x_m = log["nav.x_m"]
+    assert len(x_m) == 98
+    assert x_m.values == pytest.approx(0.1 * x_m.t_s / 0.02, abs=1e-6)
 
 
 def test_a_quaternion_that_is_none_is_no_heading(tmp_path):
@@ -265,6 +282,26 @@ def test_stamps_of_headers_that_were_never_set_are_no_times(tmp_path):
         "3 messages without a time stamp in their header were left out"
         in log.notices[0]
     )
+
+
+@pytest.mark.parametrize("stamp", [None, "header"])
+def test_only_a_clock_whose_stamps_are_used_must_not_be_set_back(tmp_path, stamp):
+    """The recorder's clock is set back in one bag, the sender's in the other."""
+    messages = [joints(i, NAMES, [5.0 + 0.01 * i, 0.0]) for i in range(200)]
+    late = [
+        (*sent, at(i % 100), message) for i, (*sent, _, message) in enumerate(messages)
+    ]
+    recorder = write(tmp_path / "recorder", late)
+    messages = [
+        (topic, kind, at(i), joints(i % 100, NAMES, [5.0, 0.0])[-1])
+        for i, (topic, kind, _, _) in enumerate(messages)
+    ]
+    sender = write(tmp_path / "sender", messages)
+    wrong, right = (sender, recorder) if stamp else (recorder, sender)
+    wheel = ("/joint_states", "velocity[front_left_joint]")
+    assert len(measured(tmp_path, right, stamp=stamp, speed=wheel)[SPEED]) == 200
+    with pytest.raises(LogError, match=r"set back by 1\.98 s after message 100"):
+        measured(tmp_path, wrong, stamp=stamp, speed=wheel)
 
 
 @pytest.mark.parametrize(

@@ -130,3 +130,66 @@ def test_a_robot_that_starts_and_stops_at_once_does_not_jump():
     yaw = np.angle(np.exp(1j * starts))
     log = log.with_channels({"nav.yaw_rad": log["nav.yaw_rad"].with_values(yaw)})
     assert cut_at_corrections(log) is log
+
+
+def short_moves(rate_hz, move_s, jump_m=0.0):
+    """Return a log of moves with rests between; the map corrects itself during a rest."""
+    rng = np.random.default_rng(0)
+    t_s = 0.02 * np.arange(10_000)
+    into_s = t_s % 8.0 - 3.0
+    speed = np.where((into_s > 0.0) & (into_s < move_s), 0.5, 0.0)
+    rpm = speed / RADIUS_M * RPM
+    x = 0.02 * np.cumsum(speed) + jump_m * (t_s >= 105.0)
+    rows = slice(None, None, 50 // rate_hz)
+    noise = 0.003 * rng.standard_normal((3, len(t_s[rows])))
+    span = np.zeros(len(t_s), dtype=np.int64)
+    channels = {
+        "wheel.fl.speed_rpm": Channel(t_s, rpm, span),
+        "wheel.fr.speed_rpm": Channel(t_s, -rpm, span),
+        "nav.x_m": Channel(t_s[rows], x[rows] + noise[0], span[rows]),
+        "nav.y_m": Channel(t_s[rows], noise[1], span[rows]),
+        "nav.yaw_rad": Channel(t_s[rows], noise[2] / 3.0, span[rows]),
+    }
+    source = LogSource("slam.csv", "0" * 64)
+    return MeasuredLog((source,), channels, (Span(0, None, 0.0, float(t_s[-1])),))
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "move_s"), [(1, 2.0), (2, 1.0), (2, 1.5), (5, 0.6), (10, 0.3)]
+)
+def test_a_short_move_that_the_wheels_explain_is_no_correction(rate_hz, move_s):
+    log = short_moves(rate_hz, move_s)
+    assert cut_at_corrections(log) is log
+
+
+@pytest.mark.parametrize("jump_m", [0.5, -0.2])
+def test_a_jump_between_short_moves_is_a_correction(jump_m):
+    parts = cut_at_corrections(short_moves(5, 0.6, jump_m))
+    starts = [span.start_s for span in parts.spans]
+    assert starts == pytest.approx([0.0, 105.0], abs=0.3)
+
+
+def test_a_heading_that_jumps_alone_has_no_size_in_metres():
+    log = drive(pose_m=0.002, pose_rad=0.001)
+    yaw = log["nav.yaw_rad"]
+    turned = yaw.with_values(yaw.values + 0.3 * (yaw.t_s >= 40.0))
+    parts = cut_at_corrections(log.with_channels({"nav.yaw_rad": turned}))
+    assert len(parts.spans) == 2
+    assert "jumps 1 times, as where" in parts.notices[0]
+
+
+def test_a_wheel_that_is_silent_in_a_segment_does_not_stop_the_reading():
+    log = drive(of_encoders=True)
+    t_s = log["wheel.fl.speed_rpm"].t_s
+    parts = tuple(Span(i, None, 50.0 * i, 50.0 * i + 49.98) for i in range(2))
+    channels = {
+        name: replace(channel, span=(channel.t_s >= 50.0).astype(np.int64))
+        for name, channel in log.channels.items()
+    }
+    fl = channels["wheel.fl.speed_rpm"]
+    first = t_s < 50.0
+    channels["wheel.rl.speed_rpm"] = Channel(
+        t_s[first], fl.values[first], fl.span[first]
+    )
+    log = replace(log, channels=channels, spans=parts)
+    assert "nav.yaw_rad" not in without_own_odometry(log)

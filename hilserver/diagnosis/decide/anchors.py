@@ -75,6 +75,7 @@ def _fields(problem: Problem, point: Point) -> tuple[Array, Array] | None:
     if (
         not isinstance(stage, PoseStage)
         or stage.begins_anew
+        or stage.log.pose_errors_last  # an effect of the place like any other
         or POSITION[0] not in stage.stack.edges
     ):
         return None

@@ -1,5 +1,6 @@
 """The text of the first page: the headline, the gains, in which block, and what to do."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,6 +12,7 @@ from hilserver.diagnosis.findings.explain import (
     number,
     remedy,
 )
+from hilserver.diagnosis.regression.gain import HORIZON_S
 from hilserver.diagnosis.replay.judgeable import of_the_log
 from hilserver.diagnosis.report.plain import plain
 from hilserver.diagnosis.schema.evidence import CutRow
@@ -24,6 +26,7 @@ from hilserver.diagnosis.schema.findings import (
     Parameter,
     Verdict,
 )
+from hilserver.measured.channels import POSITION
 
 BADGES = {
     Verdict.NAMED: "Cause found",
@@ -39,6 +42,9 @@ BADGES = {
 LARGE = 1.5
 """Residual relative to noise alone from which a replay is clearly wrong; error before relative to
 that after from which a model is clearly better."""
+FAR_FROM_NOISE = 3.0
+"""Error of the position relative to that of noise alone from which no simulation matches: where it
+does, this is about 1."""
 MOST_TIMES = 1000
 """Largest factor of an error that is shown; beyond it, the error before or after is almost zero."""
 FREE_RUNS = ("position_m", "yaw_rad")
@@ -71,6 +77,8 @@ def headline(findings: Findings) -> str:
         return f"{begin}othing about the robot could be judged{without}."
     if silent and not named:
         return plain(explain_finding(silent[0]))
+    if not named and (left := _unexplained(findings)):
+        return left
     if not named and without:
         return f"In what could be judged{without}, the simulation matches: nothing was found."
     if not named:
@@ -89,6 +97,36 @@ def headline(findings: Findings) -> str:
             len(faults) > 1
         )
     return f"{text}."
+
+
+def _unexplained(findings: Findings) -> str:
+    """Return that the position is further off than its noise explains; empty if it is not.
+
+    An error that lasts can hide one of the simulation: the position alone shows how far both may
+    drift apart in a free run.
+    """
+    error_m = findings.baseline.get("position_m", 0.0)
+    own = [n for name, n in findings.noise.items() if name in POSITION]
+    if not own:
+        return ""
+
+    # at both ends of a run, and what changes between them of an error that lasts
+    variance = 0.0
+    for noise in own:
+        variance += 2.0 * (noise.white_sd**2 + (noise.step or 0.0) ** 2 / 12.0)
+        if noise.ou_tau_s:
+            changed = -math.expm1(-HORIZON_S / noise.ou_tau_s)
+            variance += 2.0 * noise.ou_sd**2 * changed
+    noise_m = math.sqrt(variance)
+    if error_m <= FAR_FROM_NOISE * noise_m:
+        return ""
+
+    error, noise_alone = (number(m, "m", digits=2) for m in (error_m, noise_m))
+    return (
+        f"An error remains that no known cause explains: within {HORIZON_S:g} s the simulated"
+        f" position goes {error} off, where the noise of the reference alone makes {noise_alone};"
+        " check the signs and sides of the wheels, the dimensions, and the axes of the reference."
+    )
 
 
 def missing(findings: Findings) -> str:

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from hilserver.diagnosis.decide.anchors import anchor_off
 from hilserver.diagnosis.decide.unknown import ANCHORS_OUTSIDE, anchor_fields
+from hilserver.diagnosis.replay.pose_stage import PoseStage
 
 SIDES_M = [(-4.0, 3.0), (-1.0, 2.5)]
 """Where the robot drove: x and y from and to."""
@@ -58,3 +60,13 @@ def test_a_range_too_long_pushes_away_from_its_anchor():
     )
     for field, anchor in zip(anchor_fields(motion), anchors_m(), strict=True):
         assert field[0] @ (np.zeros(2) - anchor) > 0.0
+
+
+def test_a_reference_whose_error_lasts_has_no_anchors():
+    stage = PoseStage.__new__(PoseStage)
+    stage.begins_anew = False
+    stage.log = SimpleNamespace(pose_errors_last=True)
+    stage.stack = SimpleNamespace(edges={"nav.x_m": slice(0, 100)})
+    library = SimpleNamespace(problem=SimpleNamespace(stage=stage))
+    rng = np.random.default_rng(0)
+    assert anchor_off(library, SimpleNamespace(), (), rng, 0.0) is None

@@ -7,7 +7,7 @@ from hilserver.diagnosis.report import render
 from hilserver.diagnosis.report.summary import summary
 from hilserver.diagnosis.report.words import headline, steps
 from hilserver.diagnosis.schema.evidence import Evidence
-from hilserver.diagnosis.schema.findings import Finding, NotJudged, Verdict
+from hilserver.diagnosis.schema.findings import Finding, Noise, NotJudged, Verdict
 from tests.diagnosis.sample import findings, nothing_found
 
 FAULT = findings().findings[3]
@@ -67,6 +67,23 @@ def test_a_simulation_matches_what_was_judged():
     assert said(verdict="nothing_found", not_judged=EXCITED) == (
         "The simulation matches these data: nothing was found."
     )
+
+
+@pytest.mark.parametrize(("error_m", "matches"), [(0.6, True), (2.6, False)])
+def test_an_error_far_above_the_noise_is_never_said_to_match(error_m, matches):
+    """Signs of the wheels that are wrong, seen by satellites whose fitted error takes it all."""
+    noise = Noise(
+        white_sd=0.007, ou_sd=1.0, ou_tau_s=60.0, tail_dof=None, step=None, limits=None
+    )
+    given = nothing_found().model_copy(
+        update={
+            "baseline": {"position_m": error_m},
+            "noise": {"nav.x_m": noise, "nav.y_m": noise},
+            "not_judged": EXCITED,
+        }
+    )
+    assert ("simulation matches" in headline(given)) == matches
+    assert ("error remains that no known cause explains" in headline(given)) != matches
 
 
 def differing(*found, **more):
