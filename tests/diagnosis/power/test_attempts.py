@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from hilserver_injector import make
 
-from hilserver.diagnosis.catalogue.library import pose_candidates
+from hilserver.diagnosis.catalogue.library import drive_candidates, pose_candidates
 from hilserver.diagnosis.output import TRIED
 from hilserver.diagnosis.pipeline import Task
 from hilserver.diagnosis.power import attempts as tried
@@ -55,6 +55,17 @@ def test_each_cause_that_is_not_there_yet_is_tried_at_each_size(library):
     )
 
 
+def test_a_smaller_limit_is_a_larger_effect(monkeypatch):
+    limit = next(one for one in drive_candidates() if one.is_limit)
+    monkeypatch.setattr(tried, "possible", lambda _task: {"drive: it": limit})
+    size = limit.start[0]
+    smallest = (Detectable(cause=limit.cause, size=size, unit="rpm/s"),)
+    found = attempts_of(TASK, AttemptOutcome(smallest=smallest))
+    assert len(found) > 2
+    for one in found:
+        assert one.size == one.value == pytest.approx(size / one.times)
+
+
 @pytest.mark.parametrize(
     ("found", "outcome", "wrong"),
     [
@@ -73,7 +84,7 @@ def test_each_cause_that_is_not_there_yet_is_tried_at_each_size(library):
     ],
 )
 def test_what_counts_as_found(found, outcome, wrong):
-    attempt = Attempt(TASK, "pose: body_lag", "body_lag", "s", 0.05, 1.0, 0.05)
+    attempt = Attempt(TASK, "pose: body_lag", "body_lag", "s")
     assert outcome_of(attempt, AttemptOutcome(found), CONTROL) == (outcome, wrong)
     failed = AttemptOutcome(error="a.csv: is gone")
     assert outcome_of(attempt, failed, CONTROL) == ("failed", ())
@@ -123,7 +134,7 @@ def test_a_large_effect_is_found_in_a_recording_without_any(tmp_path):
     make(recipe("nothing drive", 3, 40.0))[0].write_csv(path)
     task = Task((path,), None)
     label = "pose: rotation_gain"
-    attempt = Attempt(task, label, "rotation_gain", "1", 0.02, 5.0, 0.1)
+    attempt = Attempt(task, label, "rotation_gain", "1", value=0.1)
     found = attempted(attempt)
     assert outcome_of(attempt, found, AttemptOutcome()) == ("named", ())
     gone = attempted(Attempt(Task((tmp_path / "none.csv",), None), ""))
