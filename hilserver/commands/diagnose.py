@@ -250,8 +250,9 @@ def _try(args: argparse.Namespace, task: Task) -> None:
             raise FailedError(control.error)
         attempts += attempts_of(task, control, args.causes)
         for cause in sorted({*args.causes} - {one.cause for one in attempts}):
-            hint = f"{cause} is not tried: this recording does not show it"
-            progress.say(hint, sys.stderr)
+            is_there = cause in control.causes
+            why = "shows it already" if is_there else "does not show it"
+            progress.say(f"{cause} is not tried: the recording {why}", sys.stderr)
         rows: list[PowerRow] = []
         write_files(args.out, files_of(rows, len(attempts)))
         with closing(_spread(attempted, attempts, args)) as outcomes:

@@ -64,6 +64,11 @@ class AttemptOutcome:
     smallest: tuple[Detectable, ...] = ()
     error: str = ""
 
+    @property
+    def causes(self) -> set[str]:
+        """All that a finding names, alone or in a group."""
+        return {cause for _, names in self.found for cause in names}
+
 
 @lru_cache(maxsize=1)
 def recording(task: Task) -> tuple[MeasuredLog, RobotParameters, RobotParameters]:
@@ -120,7 +125,7 @@ def attempts_of(
         Only these.
     """
     rng = np.random.default_rng(task.seed)
-    already = {cause for _, names in control.found for cause in names}
+    already = control.causes
     by_cause: dict[str, list[str]] = {}
     for label, candidate in possible(task).items():
         by_cause.setdefault(candidate.cause, []).append(label)
@@ -128,7 +133,7 @@ def attempts_of(
     found = []
     for times in TIMES_SMALLEST:
         for one in control.smallest:
-            wanted = one.cause in causes if causes else one.cause not in already
+            wanted = one.cause not in already and (not causes or one.cause in causes)
             if not wanted or one.cause not in by_cause:
                 continue
             label = str(rng.choice(by_cause[one.cause]))
@@ -168,8 +173,8 @@ def outcome_of(
         return "failed", ()
     named = [names for verdict, names in result.found if verdict in NAMING]
     right = [names for names in named if attempt.cause in names]
-    already = {cause for _, names in control.found for cause in names}
-    wrong = [names for names in named if not {attempt.cause, *already} & {*names}]
+    expected = {attempt.cause, *control.causes}
+    wrong = [names for names in named if not expected & {*names}]
     said = tuple(name for names in wrong for name in names)
     if right:
         return ("named" if len(right[0]) == 1 else "group"), said

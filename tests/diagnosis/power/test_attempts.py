@@ -50,9 +50,8 @@ def test_each_cause_that_is_not_there_yet_is_tried_at_each_size(library):
     assert all(one.value == pytest.approx(one.size) for one in lags), "never negative"
     turns = [one for one in found if one.cause == "rotation_gain"]
     assert all(abs(one.value) == pytest.approx(one.size) for one in turns)
-    assert [one.cause for one in attempts_of(TASK, CONTROL, ["gyro_bias"])] == (
-        ["gyro_bias"] * len(TIMES_SMALLEST)
-    )
+    asked = attempts_of(TASK, CONTROL, ["gyro_bias", "body_lag"])
+    assert [one.cause for one in asked] == ["body_lag"] * len(TIMES_SMALLEST)
 
 
 def test_a_smaller_limit_is_a_larger_effect(monkeypatch):
