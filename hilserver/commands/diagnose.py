@@ -240,6 +240,8 @@ def _try(args: argparse.Namespace, task: Task) -> None:
     attempts: list[Attempt] = []
 
     def stopped() -> str:
+        if not attempts:
+            return "stopped before any effect was tried; the report is written"
         done = f"{len(results)} of {len(attempts)} effects"
         return f"stopped after {done}; {args.out / TRIED[-1]} holds their outcomes"
 

@@ -286,6 +286,18 @@ def test_other_programs_and_robots_are_refused_before_any_judging(
     assert not [stage for stage in stages if stage[0] == "judge"]
 
 
+def test_stopped_before_the_first_effect_it_names_no_file_that_is_not_there(
+    stages, tmp_path, monkeypatch, capsys
+):
+    interrupted = lambda _attempt: os.kill(os.getpid(), signal.SIGINT)  # noqa: E731
+    monkeypatch.setattr("hilserver.commands.diagnose.attempted", interrupted)
+    main(["diagnose", "null.csv", "--try", "-o", "out"])
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert said.endswith("stopped before any effect was tried; the report is written")
+    assert (tmp_path / "out" / "report.html").exists()
+    assert not (tmp_path / "out" / "power.json").exists()
+
+
 def test_what_would_have_been_found_is_printed_and_written(
     stages, tmp_path, monkeypatch, capsys
 ):
