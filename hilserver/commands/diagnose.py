@@ -120,7 +120,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--minutes",
         type=_minutes,
-        default=MOST_MINUTES,
         metavar="N",
         help=f"with --try: begin no effect after this time; default: {MOST_MINUTES:g}",
     )
@@ -258,7 +257,9 @@ def _try(args: argparse.Namespace, task: Task) -> None:
         rows: list[PowerRow] = []
         write_files(args.out, files_of(rows, len(attempts)))
         with closing(_spread(attempted, attempts, args)) as outcomes:
-            for index, outcome in until(outcomes, 60.0 * args.minutes):
+            for index, outcome in until(
+                outcomes, 60.0 * (args.minutes or MOST_MINUTES)
+            ):
                 results[index] = outcome
                 rows = rows_of(attempts, results, control)
                 write_files(args.out, files_of(rows, len(attempts)))
@@ -320,6 +321,8 @@ def _check_tries(args: argparse.Namespace) -> None:
         )
     if args.causes and not args.tries:
         raise UsageError("--causes names what to try: use it with --try")
+    if args.minutes is not None and not args.tries:
+        raise UsageError("--minutes limits what is tried: use it with --try")
 
 
 def _check_groups(args: argparse.Namespace) -> None:

@@ -167,6 +167,7 @@ def test_two_sets_are_compared(stages, capsys):
         (["a.csv", "--try", "--each", "-o", "out"], "--try cannot be combined"),
         (["a.csv", "--try", "--marks", "m.yaml", "-o", "out"], "--try cannot be"),
         (["a.csv", "--causes", "body_lag", "-o", "out"], "use it with --try"),
+        (["a.csv", "--minutes", "5", "-o", "out"], "use it with --try"),
         (["--group", "a=a.csv", "-o", "out"], "name two or more"),
         (
             ["--group", "a=a.csv", "--group", "a=b.csv", "-o", "out"],
