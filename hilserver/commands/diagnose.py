@@ -256,10 +256,9 @@ def _try(args: argparse.Namespace, task: Task) -> None:
             progress.say(f"{cause} is not tried: the recording {why}", sys.stderr)
         rows: list[PowerRow] = []
         write_files(args.out, files_of(rows, len(attempts)))
+        limit_s = 60.0 * (args.minutes or MOST_MINUTES)
         with closing(_spread(attempted, attempts, args)) as outcomes:
-            for index, outcome in until(
-                outcomes, 60.0 * (args.minutes or MOST_MINUTES)
-            ):
+            for index, outcome in until(outcomes, limit_s):
                 results[index] = outcome
                 rows = rows_of(attempts, results, control)
                 write_files(args.out, files_of(rows, len(attempts)))

@@ -125,6 +125,10 @@ def test_files_and_table_say_that_this_is_power_and_no_proof(library):
     lines = lines_of(rows, len(attempts))
     assert any(line.startswith("body_lag") and "side_slip" in line for line in lines)
     assert f"2 of {len(attempts)} tried" in lines[-2]
+
+    group = AttemptOutcome((("named_group", ("body_lag", "yaw_latency")),))
+    counted = lines_of(rows_of(attempts, {0: named, 2: group}, CONTROL), 2)[-2]
+    assert "named in 1, in a group in 1; " in counted
     assert lines_of([], 0) == ["No effect could be tried on this recording."]
 
 
