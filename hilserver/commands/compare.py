@@ -9,7 +9,7 @@ import math
 from pathlib import Path
 
 from hilserver.comparison import Curves, as_text, compare
-from hilserver.errors import EXIT_DIFFERENT, EXIT_DONE, LogError
+from hilserver.errors import EXIT_DIFFERENT, EXIT_DONE, FailedError, LogError
 from hilserver.logs.reading import read_pieces
 from hilserver.program.whole_file import write_whole
 
@@ -56,15 +56,19 @@ def run(args: argparse.Namespace) -> int:
     """Compare; 0 if equal, 4 if not, 2 if they cannot be compared."""
     if args.a.exists() and args.b.exists() and args.a.samefile(args.b):
         raise LogError(f"{args.b}: is the same file; give another recording")
-    curves = Curves() if args.out is not None else None
+    curves = None
+    if args.out is not None:
+        if args.out.exists() and not args.out.is_dir():
+            raise FailedError(f"{args.out}: is a file; name a folder for {FILE}")
+        args.out.mkdir(parents=True, exist_ok=True)  # before the work, not after it
+        curves = Curves()
     found = compare(
         read_pieces(args.a),
         read_pieces(args.b),
         args.tolerance,
         see=curves.add if curves is not None else None,
     )
-    if curves is not None:
-        args.out.mkdir(parents=True, exist_ok=True)
-        write_whole(args.out / FILE, curves.as_json(found))
     print(as_text(found))
+    if curves is not None:
+        write_whole(args.out / FILE, curves.as_json(found))
     return EXIT_DONE if found.is_equal else EXIT_DIFFERENT

@@ -120,7 +120,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--minutes",
         type=_minutes,
-        default=MOST_MINUTES,
         metavar="N",
         help=f"with --try: begin no effect after this time; default: {MOST_MINUTES:g}",
     )
@@ -240,6 +239,8 @@ def _try(args: argparse.Namespace, task: Task) -> None:
     attempts: list[Attempt] = []
 
     def stopped() -> str:
+        if not attempts:
+            return "stopped before any effect was tried; the report is written"
         done = f"{len(results)} of {len(attempts)} effects"
         return f"stopped after {done}; {args.out / TRIED[-1]} holds their outcomes"
 
@@ -250,12 +251,14 @@ def _try(args: argparse.Namespace, task: Task) -> None:
             raise FailedError(control.error)
         attempts += attempts_of(task, control, args.causes)
         for cause in sorted({*args.causes} - {one.cause for one in attempts}):
-            hint = f"{cause} is not tried: this recording does not show it"
-            progress.say(hint, sys.stderr)
+            is_there = cause in control.causes
+            why = "shows it already" if is_there else "does not show it"
+            progress.say(f"{cause} is not tried: the recording {why}", sys.stderr)
         rows: list[PowerRow] = []
         write_files(args.out, files_of(rows, len(attempts)))
+        limit_s = 60.0 * (args.minutes or MOST_MINUTES)
         with closing(_spread(attempted, attempts, args)) as outcomes:
-            for index, outcome in until(outcomes, 60.0 * args.minutes):
+            for index, outcome in until(outcomes, limit_s):
                 results[index] = outcome
                 rows = rows_of(attempts, results, control)
                 write_files(args.out, files_of(rows, len(attempts)))
@@ -317,6 +320,8 @@ def _check_tries(args: argparse.Namespace) -> None:
         )
     if args.causes and not args.tries:
         raise UsageError("--causes names what to try: use it with --try")
+    if args.minutes is not None and not args.tries:
+        raise UsageError("--minutes limits what is tried: use it with --try")
 
 
 def _check_groups(args: argparse.Namespace) -> None:

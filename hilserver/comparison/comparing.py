@@ -90,7 +90,7 @@ class RecordingComparison:
     partings : list of Parting
         By time of the first difference.
     inputs : frozenset of str
-        Signals that come from outside the plant.
+        Those of both recordings that come from outside the plant.
     alone : pair of int
         Rows that only one of the recordings has.
     only_in : pair of list of str
@@ -195,7 +195,8 @@ def compare(
     only_in_a = sorted(head_a.columns.keys() - head_b.columns.keys())
     only_in_b = sorted(head_b.columns.keys() - head_a.columns.keys())
     by_time = sorted(parts.by_signal.values(), key=lambda p: (p.segment, p.t_ns))
-    inputs = frozenset(s["name"] for s in signals if s["direction"] == "in")
+    come_in = {s["name"] for s in signals if s["direction"] == "in"}
+    inputs = frozenset(come_in.intersection(names))
     changes = changes_between(head_a.run, head_b.run)
     return RecordingComparison(
         signals=len(names),

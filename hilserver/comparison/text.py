@@ -62,7 +62,7 @@ def _first(found: RecordingComparison) -> str:
     if inputs:
         return f"{values}{unit}{others}: what came in was not the same."
     if found.inputs:
-        return f"{values}{unit}{others}: an output, while all inputs were equal."
+        return f"{values}{unit}{others}: an output, while all inputs that both have were equal."
     return f"{values}{unit}{others}."
 
 

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from hilserver.commands import main
-from hilserver.errors import EXIT_BAD_LOG, EXIT_DIFFERENT, EXIT_DONE
+from hilserver.errors import EXIT_BAD_LOG, EXIT_DIFFERENT, EXIT_DONE, EXIT_FAILED
 
 SCENARIO = """
 steps:
@@ -38,7 +38,7 @@ def test_the_same_run_in_two_formats_is_equal(folder, capsys):
 def test_another_controller_is_a_difference_with_its_cause(folder, capsys):
     assert compared(folder, "a.mcap", "b.mcap") == EXIT_DIFFERENT
     said = capsys.readouterr().out
-    assert "an output, while all inputs were equal" in said
+    assert "an output, while all inputs that both have were equal" in said
     assert "plant.controller.k_p: 13.513 in A, 13.514 in B" in said
 
 
@@ -48,6 +48,16 @@ def test_the_curves_of_both_are_written_where_asked(folder, tmp_path, capsys):
     shown = json.loads((tmp_path / "new" / "comparison.json").read_bytes())
     assert shown["text"] == capsys.readouterr().out.strip()
     assert "wheel.fl.speed_rpm" in [curve["name"] for curve in shown["signals"]]
+
+
+def test_a_folder_that_cannot_be_made_is_said_before_all_is_compared(
+    folder, monkeypatch, capsys
+):
+    monkeypatch.setattr("hilserver.commands.compare.compare", None)
+    a_file = folder / "drive.yaml"
+    for out, sentence in ((a_file, "is a file; name a folder"), (a_file / "in", "")):
+        assert compared(folder, "a.mcap", "b.mcap", "-o", str(out)) == EXIT_FAILED
+        assert f"{out}: {sentence}" in capsys.readouterr().err
 
 
 def test_within_the_tolerance_it_is_none(folder):

@@ -18,6 +18,13 @@ from hilserver.program.progress import Progress
 from tests.diagnosis.sample import evidence, findings, nothing_found
 
 
+class Names(list):
+    """Stands for a log: the names of its files."""
+
+    def noticed(self, *_lines):
+        return self
+
+
 @pytest.fixture
 def stages(monkeypatch, tmp_path):
     """Stand-ins for reading and judging; notes what they were asked."""
@@ -28,7 +35,7 @@ def stages(monkeypatch, tmp_path):
         asked.append(("read", [p.name for p in paths], mapping))
         if any(p.name == "bad.csv" for p in paths):
             raise LogError("bad.csv:3: column 't_s': not a number; fix the row")
-        return [p.name for p in paths]
+        return Names(p.name for p in paths)
 
     def judge(log, assembly, *, seed, jobs, progress, test=None):
         asked.append(("judge", log, seed, assembly.config.sha256))
@@ -160,6 +167,7 @@ def test_two_sets_are_compared(stages, capsys):
         (["a.csv", "--try", "--each", "-o", "out"], "--try cannot be combined"),
         (["a.csv", "--try", "--marks", "m.yaml", "-o", "out"], "--try cannot be"),
         (["a.csv", "--causes", "body_lag", "-o", "out"], "use it with --try"),
+        (["a.csv", "--minutes", "5", "-o", "out"], "use it with --try"),
         (["--group", "a=a.csv", "-o", "out"], "name two or more"),
         (
             ["--group", "a=a.csv", "--group", "a=b.csv", "-o", "out"],
@@ -279,6 +287,18 @@ def test_other_programs_and_robots_are_refused_before_any_judging(
     assert not [stage for stage in stages if stage[0] == "judge"]
 
 
+def test_stopped_before_the_first_effect_it_names_no_file_that_is_not_there(
+    stages, tmp_path, monkeypatch, capsys
+):
+    interrupted = lambda _attempt: os.kill(os.getpid(), signal.SIGINT)  # noqa: E731
+    monkeypatch.setattr("hilserver.commands.diagnose.attempted", interrupted)
+    main(["diagnose", "null.csv", "--try", "-o", "out"])
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert said.endswith("stopped before any effect was tried; the report is written")
+    assert (tmp_path / "out" / "report.html").exists()
+    assert not (tmp_path / "out" / "power.json").exists()
+
+
 def test_what_would_have_been_found_is_printed_and_written(
     stages, tmp_path, monkeypatch, capsys
 ):
@@ -288,15 +308,17 @@ def test_what_would_have_been_found_is_printed_and_written(
     monkeypatch.setattr(tried, lambda _task: library)
 
     def judged(attempt):
-        is_large = attempt.times >= 1.0
-        found = (("named", ("body_lag",)),) if is_large else ()
-        return AttemptOutcome(found, sizes)
+        found = [("named", ("gyro_bias",))]
+        if attempt.times >= 1.0:
+            found.append(("named", ("body_lag",)))
+        return AttemptOutcome(tuple(found), sizes)
 
     monkeypatch.setattr("hilserver.commands.diagnose.attempted", judged)
-    words = ["null.csv", "--try", "--causes", "body_lag,side_slip", "--jobs", "1"]
-    assert main(["diagnose", *words, "-o", "out"]) == 0
+    words = ["null.csv", "--try", "--causes", "body_lag,side_slip,gyro_bias"]
+    assert main(["diagnose", *words, "--jobs", "1", "-o", "out"]) == 0
     said = capsys.readouterr()
-    assert "side_slip is not tried" in said.err
+    assert "side_slip is not tried: the recording does not show it" in said.err
+    assert "gyro_bias is not tried: the recording shows it already" in said.err
     assert "5 of 5 tried: named in 3" in said.out
     assert "Power, no proof" in said.out
     assert len((tmp_path / "out" / "power.csv").read_text().splitlines()) == 6

@@ -115,7 +115,10 @@ def test_inputs_are_told_from_outputs():
         {"twist.linear_m_s": np.zeros(N), "pose.x_m": np.zeros(N)}, run=run_of(seed=1)
     )
     output = parted(a, "pose.x_m", 10, 1.0)
-    assert "an output, while all inputs were equal" in as_text(compared(a, output))
+    equal = "an output, while all inputs that both have were equal"
+    assert equal in as_text(compared(a, output))
+    without = log({"pose.x_m": output.columns["pose.x_m"]})
+    assert "inputs" not in as_text(compared(a, without)), "none was compared"
     both = parted(output, "twist.linear_m_s", 10, 0.5)
     said = as_text(compared(a, both)).splitlines()[1]
     assert said.startswith("First: twist.linear_m_s is 0 in A, 0.5 in B [m/s]")

@@ -359,6 +359,17 @@ def test_a_signal_is_one_sentence_and_leaves_nothing(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    "options", [["--channels", "voltage"], ["--channels", "yaw", "--satellites", "0.5"]]
+)
+def test_channels_that_show_nothing_are_one_sentence(tmp_path, capsys, options):
+    path = written(tmp_path, STRAIGHT)
+    args = ["plan", str(path), "--duration", "10", "-o", str(tmp_path / "out")]
+    assert main([*args, *options]) == 1
+    said = capsys.readouterr().err
+    assert "these channels show no effect: record the wheel speeds, too" in said
+
+
 def test_too_small_a_room_is_one_sentence(tmp_path, capsys):
     path = written(tmp_path, STRAIGHT)
     args = [

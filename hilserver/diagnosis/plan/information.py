@@ -119,7 +119,7 @@ def alike(directions: Sequence[GramDirection], gram: Array) -> Array:
         inverse = np.where(good, 1.0 / np.sqrt(np.where(good, value, 1.0)), 0.0)
         if np.diag(block).max(initial=0.0) > 1e-12:
             turn[i][: len(rows), rows] = (inverse[:, None] * vector.T) / scale
-    flat = turn.reshape(2 * m, -1)
+    flat = turn.reshape(2 * m, len(gram))
     cross = (flat @ gram @ flat.T).reshape(m, 2, m, 2).transpose(0, 2, 1, 3)
     total = (cross**2).sum(axis=(2, 3))
     det = cross[..., 0, 0] * cross[..., 1, 1] - cross[..., 0, 1] * cross[..., 1, 0]

@@ -168,7 +168,12 @@ def _better(
             f"no piece fits into {duration_s:.3g} s and {_sides(room_m)};"
             " increase --duration or --room"
         )
-    return choose(able, information_of(able, recording, studio), left_s, studio.report)
+    known = information_of(able, recording, studio)
+    if not any(stage.directions for stage in known):
+        raise FailedError(
+            "these channels show no effect: record the wheel speeds, too"
+        )
+    return choose(able, known, left_s, studio.report)
 
 
 def _joined(chosen: Sequence[Piece]) -> Manoeuvre:

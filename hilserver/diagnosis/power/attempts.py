@@ -43,13 +43,10 @@ class Attempt:
     cause: str = ""
     unit: str = ""
     smallest: float = 0.0  # `smallest_detectable` of its cause
-    times: float = 0.0  # its size, as a multiple of that
+    times: float = 0.0  # how strong it is, as a multiple of that
+    # distance of the parameter from having no effect; of a limit, its value
+    size: float = 0.0
     value: float = 0.0  # of its parameter
-
-    @property
-    def size(self) -> float:
-        """Distance of the parameter from having no effect; of a limit, its value."""
-        return self.smallest * self.times
 
     @property
     def predicted(self) -> float:
@@ -66,6 +63,11 @@ class AttemptOutcome:
     found: tuple[tuple[str, tuple[str, ...]], ...] = ()  # verdicts and causes
     smallest: tuple[Detectable, ...] = ()
     error: str = ""
+
+    @property
+    def causes(self) -> set[str]:
+        """All that a finding names, alone or in a group."""
+        return {cause for _, names in self.found for cause in names}
 
 
 @lru_cache(maxsize=1)
@@ -123,7 +125,7 @@ def attempts_of(
         Only these.
     """
     rng = np.random.default_rng(task.seed)
-    already = {cause for _, names in control.found for cause in names}
+    already = control.causes
     by_cause: dict[str, list[str]] = {}
     for label, candidate in possible(task).items():
         by_cause.setdefault(candidate.cause, []).append(label)
@@ -131,28 +133,34 @@ def attempts_of(
     found = []
     for times in TIMES_SMALLEST:
         for one in control.smallest:
-            wanted = one.cause in causes if causes else one.cause not in already
+            wanted = one.cause not in already and (not causes or one.cause in causes)
             if not wanted or one.cause not in by_cause:
                 continue
             label = str(rng.choice(by_cause[one.cause]))
-            value = _value(possible(task)[label], one.size, times, rng)
+            candidate = possible(task)[label]
+            # a smaller limit does more
+            size = one.size / times if candidate.is_limit else one.size * times
+            value = _value(candidate, size, rng)
             if value is not None:
                 found.append(
-                    Attempt(task, label, one.cause, one.unit, one.size, times, value)
+                    Attempt(
+                        task,
+                        label,
+                        one.cause,
+                        one.unit,
+                        smallest=one.size,
+                        times=times,
+                        size=size,
+                        value=value,
+                    )
                 )
     return found
 
 
-def _value(
-    candidate: Candidate, smallest: float, times: float, rng: np.random.Generator
-) -> float | None:
+def _value(candidate: Candidate, size: float, rng: np.random.Generator) -> float | None:
     """Return the parameter of an effect of some size, of either sign; None if none is possible."""
     low, high, null = candidate.low[0], candidate.high[0], candidate.null[0]
-    if candidate.is_limit:  # a smaller one does more
-        values = [smallest / times]
-    else:
-        size = smallest * times
-        values = [null + size, null - size]
+    values = [size] if candidate.is_limit else [null + size, null - size]
     able = [value for value in values if low <= value <= high]
     return float(rng.choice(able)) if able else None
 
@@ -165,8 +173,8 @@ def outcome_of(
         return "failed", ()
     named = [names for verdict, names in result.found if verdict in NAMING]
     right = [names for names in named if attempt.cause in names]
-    already = {cause for _, names in control.found for cause in names}
-    wrong = [names for names in named if not {attempt.cause, *already} & {*names}]
+    expected = {attempt.cause, *control.causes}
+    wrong = [names for names in named if not expected & {*names}]
     said = tuple(name for names in wrong for name in names)
     if right:
         return ("named" if len(right[0]) == 1 else "group"), said

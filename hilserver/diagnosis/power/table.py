@@ -104,11 +104,12 @@ def lines_of(rows: Sequence[PowerRow], planned: int) -> list[str]:
         size = number(attempt.smallest, attempt.unit, digits=2)
         out.append(f"{cause:<{first}}  {size:>20}{shown}  {', '.join(wrong)}".rstrip())
 
-    named = sum(row.outcome in ("named", "group") for row in rows)
+    named = sum(row.outcome == "named" for row in rows)
+    in_group = sum(row.outcome == "group" for row in rows)
     expected = sum(row.attempt.predicted for row in rows)
     wrong_in = sum(bool(row.wrong) for row in rows)
     out.append(
-        f"{len(rows)} of {planned} tried: named in {named}, predicted {expected:.0f}; a wrong name"
-        f" in {wrong_in}."
+        f"{len(rows)} of {planned} tried: named in {named}, in a group in {in_group}; predicted for"
+        f" both together {expected:.0f}. A wrong name in {wrong_in}."
     )
     return [*out, POWER_NO_PROOF]

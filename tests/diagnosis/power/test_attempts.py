@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from hilserver_injector import make
 
-from hilserver.diagnosis.catalogue.library import pose_candidates
+from hilserver.diagnosis.catalogue.library import drive_candidates, pose_candidates
 from hilserver.diagnosis.output import TRIED
 from hilserver.diagnosis.pipeline import Task
 from hilserver.diagnosis.power import attempts as tried
@@ -50,9 +50,19 @@ def test_each_cause_that_is_not_there_yet_is_tried_at_each_size(library):
     assert all(one.value == pytest.approx(one.size) for one in lags), "never negative"
     turns = [one for one in found if one.cause == "rotation_gain"]
     assert all(abs(one.value) == pytest.approx(one.size) for one in turns)
-    assert [one.cause for one in attempts_of(TASK, CONTROL, ["gyro_bias"])] == (
-        ["gyro_bias"] * len(TIMES_SMALLEST)
-    )
+    asked = attempts_of(TASK, CONTROL, ["gyro_bias", "body_lag"])
+    assert [one.cause for one in asked] == ["body_lag"] * len(TIMES_SMALLEST)
+
+
+def test_a_smaller_limit_is_a_larger_effect(monkeypatch):
+    limit = next(one for one in drive_candidates() if one.is_limit)
+    monkeypatch.setattr(tried, "possible", lambda _task: {"drive: it": limit})
+    size = limit.start[0]
+    smallest = (Detectable(cause=limit.cause, size=size, unit="rpm/s"),)
+    found = attempts_of(TASK, AttemptOutcome(smallest=smallest))
+    assert len(found) > 2
+    for one in found:
+        assert one.size == one.value == pytest.approx(size / one.times)
 
 
 @pytest.mark.parametrize(
@@ -73,7 +83,7 @@ def test_each_cause_that_is_not_there_yet_is_tried_at_each_size(library):
     ],
 )
 def test_what_counts_as_found(found, outcome, wrong):
-    attempt = Attempt(TASK, "pose: body_lag", "body_lag", "s", 0.05, 1.0, 0.05)
+    attempt = Attempt(TASK, "pose: body_lag", "body_lag", "s")
     assert outcome_of(attempt, AttemptOutcome(found), CONTROL) == (outcome, wrong)
     failed = AttemptOutcome(error="a.csv: is gone")
     assert outcome_of(attempt, failed, CONTROL) == ("failed", ())
@@ -115,6 +125,10 @@ def test_files_and_table_say_that_this_is_power_and_no_proof(library):
     lines = lines_of(rows, len(attempts))
     assert any(line.startswith("body_lag") and "side_slip" in line for line in lines)
     assert f"2 of {len(attempts)} tried" in lines[-2]
+
+    group = AttemptOutcome((("named_group", ("body_lag", "yaw_latency")),))
+    counted = lines_of(rows_of(attempts, {0: named, 2: group}, CONTROL), 2)[-2]
+    assert "named in 1, in a group in 1; " in counted
     assert lines_of([], 0) == ["No effect could be tried on this recording."]
 
 
@@ -123,7 +137,7 @@ def test_a_large_effect_is_found_in_a_recording_without_any(tmp_path):
     make(recipe("nothing drive", 3, 40.0))[0].write_csv(path)
     task = Task((path,), None)
     label = "pose: rotation_gain"
-    attempt = Attempt(task, label, "rotation_gain", "1", 0.02, 5.0, 0.1)
+    attempt = Attempt(task, label, "rotation_gain", "1", value=0.1)
     found = attempted(attempt)
     assert outcome_of(attempt, found, AttemptOutcome()) == ("named", ())
     gone = attempted(Attempt(Task((tmp_path / "none.csv",), None), ""))
