@@ -387,7 +387,8 @@ class Hil:
         if gate.owner == "scenario" and not self.daemon.stage.drives:
             gate.take(door)  # else the controller's commands would be refused
             self.source = gate.owner
-        own = {ENDPOINT: self.endpoint} if door == "opcua" else {}
+        needs_endpoint = door == "opcua" or any(ENDPOINT in str(w) for w in command)
+        own = {ENDPOINT: self.endpoint} if needs_endpoint else {}
         if door == "ros2":
             env = dict(options.get("env") or os.environ)
             options = options | {"env": env | {"ROS_DOMAIN_ID": str(node.domain)}}

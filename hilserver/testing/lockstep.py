@@ -166,6 +166,12 @@ class Lockstep:
                 f"the controller has not called Step for {waited_s:.0f} s, at {now_s:g} s;"
                 f" {REMEDY}"
             )
+        if self.steps == 0 and self._node is not None:
+            raise NotInStep(
+                f"a node is there and has not called hilserver/step for {waited_s:.0f} s: time"
+                f" stands at {now_s:g} s, where a timer on simulated time that is slower than a"
+                f" step (20 ms) never fires; {REMEDY}"
+            )
         raise NotInStep(
             f"no controller has called Step for {waited_s:.0f} s; does it"
             f" {_ARRIVES[self._door]}? {REMEDY}"

@@ -71,10 +71,11 @@ def controller(bug="", by_timer=False):
 
 
 @contextlib.asynccontextmanager
-async def robot(**more):
+async def robot(beside=None, **more):
     with claimed_domain() as domain:
         node = {"enabled": True, "flavour": "diff_drive", "domain": domain}
         sections = {"ros2": node | more, "control": {"source": "ros2"}}
+        sections |= beside or {}
         async with open_hil(sections, "virtual") as hil:
             yield hil
         del hil
@@ -181,3 +182,15 @@ async def test_a_node_with_a_clock_of_its_own_is_named(written):
         with pytest.raises(HilError, match=says):
             async with hil.controller(PYTHON, file, patience_s=PATIENCE_S):
                 await hil.step(200)
+
+
+async def test_a_node_gets_the_address_of_the_opcua_server_as_well():
+    command = python("-c", "import sys; sys.exit(sys.argv[1])", "{endpoint}")
+    async with robot() as hil:
+        with pytest.raises(HilError, match=r"set opcua\.enabled"):
+            async with hil.controller(*command):
+                pass
+    async with robot(beside={"opcua": {"enabled": True}}) as hil:
+        with pytest.raises(HilError, match=f"exit code 1: {hil.endpoint}"):
+            async with hil.controller(*command):
+                await hil.step(20)

@@ -453,6 +453,7 @@ class Ros2Node(Part):
         now_ns = time.monotonic_ns()
         if service.name == self.config.full_name(STEP):
             self._hold(now_ns)
+            self._begin_steps(now_ns, is_there=True)
             self._stepping.ask(request.writer, answer)
             return
         refusals, came_ns = {}, self._source.came_ns(now_ns)
@@ -498,10 +499,14 @@ class Ros2Node(Part):
         """Begin lockstep with a client of the service, and speak to it until it has heard us."""
         name = self.config.full_name(STEP)
         readers = [one.endpoints[0] for one in self._services if one.name == name]
-        if self._stepping.begin(now_ns, is_there=any(one.matched for one in readers)):
-            self._cycle = 0  # slower topics count from here
+        self._begin_steps(now_ns, is_there=any(one.matched for one in readers))
+        self._stepping.go_on()
         if self._stepping.repeats(now_ns):
             self._write(self._newest)
+
+    def _begin_steps(self, now_ns: int, *, is_there: bool) -> None:
+        if self._stepping.begin(now_ns, is_there=is_there):
+            self._cycle = 0  # slower topics count from here
 
     def _hold(self, now_ns: int) -> None:
         """Show where the last command stands; with `hold` renew it while its writer is alive."""
