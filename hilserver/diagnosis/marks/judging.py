@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from hilserver.arrays import Array
+from hilserver.arrays import Array, Indices
 from hilserver.diagnosis.catalogue.library import pose_candidates
 from hilserver.diagnosis.catalogue.vocabulary import CAUSES, unit_of
 from hilserver.diagnosis.findings.outcome import fitted_finding, parameters_of
@@ -57,9 +57,15 @@ UNEXPLAINED: Final = "no dimension explains where the runs end"
 TOO_WEAK: Final = "hardly excited: the marks of these runs cannot show it"
 FOLDS: Final = 5  # halves of six runs would be too few to select from
 FAR_FROM_MARKS_SD: Final = 4.0  # misses in standard deviations of the marks
-FAR_SHARE: Final = 0.1  # of how far a run goes
+FAR_SHARE: Final = 0.2  # of how far a run goes
+ALIKE_SHARE: Final = 0.05  # the same where all runs of one direction miss alike
+ALIKE_SD: Final = 4.0  # their mean miss in deviations of their own
+FEWEST_ALIKE: Final = 3
+# a run does not fit if it misses so many times as far as all others, and at most one in so many
+ALONE_TIMES: Final = 3.0
+MOST_ALONE: Final = 4
 STEP_S: Final = 0.01  # of the replay: where a run ends depends on nothing faster
-MISFIT: Final = 4.0  # variance; the marks then miss by twice their standard deviations
+MISFIT: Final = 2.0  # misses in what the marks' standard deviations explain
 
 
 @dataclass(frozen=True)
@@ -133,21 +139,23 @@ def searched(
     search: MarksSearch, reasons: dict[str, str], rng: np.random.Generator
 ) -> ByMarks:
     """Return what a search finds; `reasons` lose the causes that it judges."""
-    runs, informing, candidates = search.runs, search.chosen, search.candidates
+    runs, candidates = search.runs, search.candidates
     nothing = search.trial(Model())
     shown = [one for one in candidates if search.shows(nothing, one)]
+    trial = nothing
+    if shown:
+        search = replace(search, candidates=shown)
+        trial = search.select()
+    model = trial.model
+    said = (*fit_of(search, model), *lost_runs(runs))
+    far = far_off(search, model)
+    if far:
+        reasons |= dict.fromkeys((c.cause for c in candidates), UNEXPLAINED)
+        ends = MarkedEnds(drawn(runs, Model()), None)
+        return ByMarks(reasons=reasons, notices=(far, *said), ends=ends)
     if not shown:
         few = dict.fromkeys((c.cause for c in candidates), TOO_WEAK)
-        return ByMarks(reasons=reasons | few, notices=lost_runs(runs))
-
-    search = replace(search, candidates=shown)
-    trial = search.select()
-    model = trial.model
-    far = far_off(search)
-    if far and not model.fitted:
-        reasons |= dict.fromkeys((c.cause for c in candidates), UNEXPLAINED)
-        ends = MarkedEnds(runs.ends({}), None)
-        return ByMarks(reasons=reasons, notices=(far, *lost_runs(runs)), ends=ends)
+        return ByMarks(reasons=reasons | few, notices=said)
 
     found = findings_by_marks(search, trial)
     smallest = smallest_by_marks(search, trial)
@@ -164,36 +172,72 @@ def searched(
         smallest,
         reasons,
         {"position_m": gain_by_marks(search, rng)},
-        notices_of(search.scatter.variance, len(informing), int(runs.freedom.sum()))
-        + lost_runs(runs),
-        MarkedEnds(runs.ends({}), runs.ends(model.terms) if model.fitted else None),
+        (notice_of(search), *said),
+        MarkedEnds(drawn(runs, Model()), drawn(runs, model) if model.fitted else None),
         ranges_of(runs.stage),
     )
 
 
-def far_off(search: MarksSearch) -> str:
-    """Return what to say where runs miss their marks by a good part of their length; or nothing.
+def far_off(search: MarksSearch, model: Model) -> str:
+    """Return what to say where a model leaves runs far from their marks; or nothing.
 
-    Where no cause explains that, "nothing found" would be wrong.
+    It does so if they miss by a good part of their length, or by less but alike, which slip would
+    not do, or end no nearer than those of the configured robot. Then neither a cause nor "nothing
+    found" would be true.
     """
     runs, chosen = search.runs, search.chosen
-    residual = runs.residual({})
+    before_m, after_m = (
+        float(_miss_m(runs, one)[chosen].mean()) for one in (Model(), model)
+    )
+    residual = runs.residual(model.terms)
     course, first = runs.course({}), runs.stage.segments.first
     extents_m = []
     for run in chosen:
         segment = runs.segments[run]
         x_m, y_m, _ = (course[first[segment] : first[segment + 1]]).T
         extents_m.append(float(np.hypot(x_m - x_m[0], y_m - y_m[0]).max()))
-    missed_m = float(np.sqrt(np.mean(_miss_m(runs, residual)[chosen] ** 2)))
     by_sd = float(np.mean(residual[rows_of(runs, chosen)] ** 2))
-    if by_sd < FAR_FROM_MARKS_SD**2 or missed_m < FAR_SHARE * float(
-        np.median(extents_m)
-    ):
+    length_m = float(np.median(extents_m))
+    most = ALIKE_SHARE if miss_alike(search, model) else FAR_SHARE
+    is_far = by_sd > FAR_FROM_MARKS_SD**2 and after_m > most * length_m
+    is_nearer = not model.fitted or after_m < before_m
+    if is_nearer and not is_far:
         return ""
     return (
-        f"no dimension explains why the runs end {missed_m:.2g} m from their marks: check plant:"
-        " (or --robot) and the marks, correct what is clearly wrong, and diagnose again"
+        f"no dimension explains why the runs end {before_m:.2g} m from their marks: check plant:"
+        " (or --robot) and the marks (in metres, x_m along the line, y_m to its left), correct"
+        " what is clearly wrong, and diagnose again"
     )
+
+
+def miss_alike(search: MarksSearch, model: Model) -> bool:
+    """Return whether the runs of one direction miss their marks by the same way."""
+    runs, chosen = search.runs, search.chosen
+    ends, course = runs.ends(model.terms)[chosen], runs.course({})
+    last = runs.stage.segments.first[np.array(runs.segments)[chosen] + 1] - 1
+    for way in (-1.0, 1.0):
+        own = ends[(np.sign(course[last, 2]) == way) & ~np.isnan(ends[:, 0])]
+        if len(own) < FEWEST_ALIKE:
+            continue
+        mean = own.mean(axis=0)
+        scatter_m = np.sqrt(np.sum((own - mean) ** 2) / (len(own) - 1))
+        if np.hypot(*mean) > ALIKE_SD * scatter_m:
+            return True
+    return False
+
+
+def unlike_others(search: MarksSearch, model: Model) -> Indices:
+    """Return the runs that end far beyond all others from their marks."""
+    runs, chosen = search.runs, search.chosen
+    miss_m, exact_m = _miss_m(runs, model)[chosen], runs.ends_sd_m()[chosen]
+    order = np.argsort(miss_m)
+    for count in range(len(chosen) // MOST_ALONE, 0, -1):
+        alone = np.sort(order[-count:])
+        far_m = FAR_FROM_MARKS_SD * exact_m[alone]
+        least_m = np.maximum(ALONE_TIMES * miss_m[order[-count - 1]], far_m)
+        if (miss_m[alone] > least_m).all():
+            return np.asarray(chosen[alone])
+    return chosen[:0]
 
 
 def findings_by_marks(search: MarksSearch, trial: MarksTrial) -> list[Finding]:
@@ -250,21 +294,38 @@ def ranges_of(stage: PoseStage) -> dict[str, tuple[float, float]]:
     }
 
 
-def notices_of(variance: float, runs: int, freedom: int) -> tuple[str, ...]:
+def notice_of(search: MarksSearch) -> str:
     """Return what a reader should know of a diagnosis by marks."""
-    said = (
-        f"The motion was judged by the marks of {runs} runs, {freedom} numbers besides where the"
-        " runs began. Marks show what changes the place where a run ends; they cannot show lags,"
-        " slip and what a sensor of the pose would add."
-    )
-    if variance < MISFIT:
-        return (said,)
     return (
-        said,
-        f"The marks scatter {np.sqrt(variance):.1f} times as much as their standard deviations"
-        " say, and slip of the wheels explain: sd_m is too small, or the floor is uneven."
-        " All intervals allow for it.",
+        f"The motion was judged by the marks of {len(search.chosen)} runs,"
+        f" {search.runs.freedom.sum()} numbers besides where the runs began. Marks show what"
+        " changes the place where a run ends; they cannot show lags, slip and what a sensor of the"
+        " pose would add."
     )
+
+
+def fit_of(search: MarksSearch, model: Model) -> tuple[str, ...]:
+    """Return which runs do not fit to the others, and by how much those scatter too much."""
+    runs, alone = search.runs, unlike_others(search, model)
+    others = np.setdiff1d(search.chosen, alone)
+    miss_m = _miss_m(runs, model)
+    said = [
+        f"segment {_number(runs, run)} does not fit: it ends {miss_m[run]:.2g} m from its mark, all"
+        f" others at most {miss_m[others].max():.2g} m. Check its marks (a sign, x_m and y_m"
+        " exchanged, the unit), and leave them out if they are right."
+        for run in alone
+    ]
+    found_m, stated_m = (
+        float(np.sqrt(np.mean(one[others] ** 2))) for one in (miss_m, runs.ends_sd_m())
+    )
+    if model.fitted and found_m > MISFIT * stated_m > 0.0:
+        said.append(
+            f"The runs end {found_m:.2g} m (RMS) from their marks with all that was found,"
+            f" {found_m / stated_m:.1f} times the {stated_m:.2g} m that the standard deviations of"
+            " the marks explain: the wheels slip that much, or the marks are less exact than"
+            " their sd_m. All intervals allow for it."
+        )
+    return tuple(said)
 
 
 def lost_runs(runs: MarkedRuns) -> tuple[str, ...]:
@@ -277,26 +338,42 @@ def lost_runs(runs: MarkedRuns) -> tuple[str, ...]:
 def gain_by_marks(search: MarksSearch, rng: np.random.Generator) -> Gain:
     """Return how much nearer to the marks runs end that took no part in selection and fit."""
     runs, informing = search.runs, search.chosen
-    before, after = runs.residual({}), runs.residual({}).copy()
+    before_m = _miss_m(runs, Model())
+    after_m = before_m.copy()
     held = min(FOLDS, len(informing))
     for fold in range(held):
         test = informing[fold::held]
         train = np.setdiff1d(informing, test)
         model = replace(search, chosen=train).select().model
-        rows = rows_of(runs, test)
-        after[rows] = runs.residual(model.terms)[rows]
+        after_m[test] = _miss_m(runs, model)[test]
     each = np.arange(len(informing))
-    first, second = (
-        Errors(_miss_m(runs, one)[informing], each) for one in (before, after)
-    )
+    first, second = (Errors(one[informing], each) for one in (before_m, after_m))
     return compare(first, second, _lasts_s(runs), rng)
 
 
-def _miss_m(runs: MarkedRuns, residual: Array) -> Array:
-    """Return by how much each run misses its marks [m]: root of the mean square."""
+def drawn(runs: MarkedRuns, model: Model) -> Array:
+    """Return where a model's runs end, without those whose marks do not say how they began."""
+    ends = runs.ends(model.terms)
+    return ends[~np.isnan(ends[:, 0])]
+
+
+def _miss_m(runs: MarkedRuns, model: Model) -> Array:
+    """Return how far from its mark each run ends [m], as a tape shows it and the plot draws it.
+
+    Where nobody knows how a run began, it is the root of the mean square of what it misses if it
+    begins where it fits best.
+    """
     places, count = runs.is_place, len(runs.marks)
-    square = np.bincount(runs.run[places], (residual * runs.sd)[places] ** 2, count)
-    return np.asarray(np.sqrt(square / np.maximum(runs.freedom, 1)))
+    missed_m = runs.residual(model.terms) * runs.sd
+    square = np.bincount(runs.run[places], missed_m[places] ** 2, count)
+    fitted_m = np.sqrt(square / np.maximum(runs.freedom, 1))
+    ends_m = np.hypot(*runs.ends(model.terms).T)
+    return np.where(np.isnan(ends_m), fitted_m, ends_m)
+
+
+def _number(runs: MarkedRuns, run: int) -> int:
+    span = runs.stage.segments.span[runs.segments[run]]
+    return int(runs.stage.log.spans[span].number_recorded)
 
 
 def _lasts_s(runs: MarkedRuns) -> float:

@@ -168,14 +168,15 @@ class MarkedRuns:
         )
 
     def ends(self, terms: Mapping[str, float]) -> Array:
-        """Return where a model's runs end, seen from their marks [m], shape (n, 2).
+        """Return where each model's run ends, seen from its mark [m], shape (runs, 2).
 
-        Forward and to the left, as the robot stood when the run began; runs whose marks do not say
-        how it stood are left out.
+        Forward and to the left, as the robot stood when the run began; NaN for runs whose marks do
+        not say how it stood. The run begins as marked, not where it would fit best.
         """
         here, there = np.split(self.poses_in(self.course(terms)), 2)
         moved = (_complex(here) - _complex(there)) * np.exp(-1j * there[:, 2])
-        found = list(moved[self._same])
+        found = np.full(len(self.marks), complex(np.nan, np.nan))
+        found[self._run_of[self._same]] = moved[self._same]
         for run in range(len(self.marks)):
             own = self._placed[self._run_of[self._placed] == run]
             if len(own) < 2 or own[0] not in self._headings:
@@ -184,9 +185,24 @@ class MarkedRuns:
             driven = _complex(here)[last] - _complex(here)[first]
             marked = self._marked[last] - self._marked[first]
             off = driven * np.exp(-1j * here[first, 2])
-            found.append(off - marked * np.exp(-1j * self._yaw[first]))
-        ends = np.array(found, complex)
-        return np.stack([ends.real, ends.imag], axis=1)
+            found[run] = off - marked * np.exp(-1j * self._yaw[first])
+        return np.stack([found.real, found.imag], axis=1)
+
+    def ends_sd_m(self) -> Array:
+        """Return how far from its mark each run may end by what its marks say of themselves [m]."""
+        found = np.zeros(len(self.marks))
+        found[self._run_of[self._same]] = np.sqrt(2.0) * self._sd_m[self._same]
+        for run in range(len(self.marks)):
+            own = self._placed[self._run_of[self._placed] == run]
+            if len(own) < 2:
+                continue
+            first, last = own[0], own[-1]
+            aside_m = self._yaw_sd[first] * abs(
+                self._marked[last] - self._marked[first]
+            )
+            both_m = np.hypot(self._sd_m[first], self._sd_m[last])
+            found[run] = np.hypot(np.sqrt(2.0) * both_m, aside_m)
+        return found
 
     def _of_places(self, poses: Array) -> tuple[Array, Array]:
         """Return by how much absolute marks are missed if each run begins where it fits best."""

@@ -1,5 +1,6 @@
 """Machines of known dimensions, judged by marks of 2 cm: names, intervals and silence."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -138,3 +139,78 @@ def test_slip_grows_with_the_distance_and_widens_intervals(tmp_path):
         sizes.append({one.cause: one.size for one in found.smallest})
     grippy, slippery = (one["wheel_radius_difference"] for one in sizes)
     assert slippery > 2.0 * grippy
+
+
+def judged_by(folder, robot, change, runs=8, **tape):
+    """Return what is judged where somebody writes wrong marks."""
+    log, text = squares(robot, Tape(sd_m=0.005, **tape), 1, runs)
+    path = folder / "marks.yaml"
+    path.write_text(change(text))
+    log = with_marks(log, path)
+    plant = machine(log, RobotParameters())
+    return judge_marks(log, plant, {}, np.random.default_rng(0), lambda *_: None)
+
+
+TURNS_LESS = Machine(track=1.05, slip_m=1e-6)
+
+
+def mirrored(text):
+    """Return marks measured to the wrong side of the line."""
+    text = re.sub("(y_m|yaw_rad): ", r"\1: -", text)
+    return text.replace("--", "")
+
+
+def in_cm(text):
+    return re.sub(
+        r"(x_m|y_m): (-?[\d.]+)", lambda m: f"{m[1]}: {100 * float(m[2])}", text
+    )
+
+
+@pytest.mark.parametrize("wrong", [mirrored, in_cm])
+def test_marks_that_no_dimension_explains_name_no_cause(tmp_path, wrong):
+    found = judged_by(tmp_path, TURNS_LESS, wrong)
+    assert found.findings == found.fitted == found.smallest == ()
+    assert "no dimension explains" in found.reasons["rotation_gain"]
+    assert any("m from their marks" in notice for notice in found.notices)
+
+
+def test_a_wrong_mark_is_named_by_its_run(tmp_path):
+    def exchanged(text):
+        lines = text.splitlines()
+        last = next(i for i, line in enumerate(lines) if "t_s: 5000.0" in line) + 1
+        lines[last] = lines[last].replace("x_m", "z").replace("y_m", "x_m")
+        lines[last] = lines[last].replace("z:", "y_m:")
+        return "\n".join(lines)
+
+    found = judged_by(tmp_path, TURNS_LESS, exchanged)
+    unlike = [n for n in found.notices if "does not fit" in n]
+    assert len(unlike) == 1
+    assert unlike[0].startswith("segment 5 ")
+    assert any("rotation_gain" in f.causes for f in found.findings)
+    sound = judged_by(tmp_path, TURNS_LESS, str)
+    assert not any("does not fit" in n for n in sound.notices)
+
+
+def test_marks_less_exact_than_stated_say_by_how_much(tmp_path):
+    log, text = squares(TURNS_LESS, Tape(sd_m=0.06), 1, runs=8)
+    path = tmp_path / "marks.yaml"
+    for stated, is_said in ((0.06, False), (0.005, True)):
+        path.write_text(text.replace("sd_m: 0.06", f"sd_m: {stated}"))
+        marked = with_marks(log, path)
+        plant = machine(marked, RobotParameters())
+        rng = np.random.default_rng(0)
+        found = judge_marks(marked, plant, {}, rng, lambda *_: None)
+        assert found.findings
+        said = [n for n in found.notices if "times the" in n]
+        assert bool(said) is is_said, found.notices
+
+
+def test_the_headline_and_the_plot_say_how_far_a_tape_reaches(tmp_path):
+    found = judged_by(tmp_path, TURNS_LESS, str)
+    gain = found.gain["position_m"]
+    simulated, extended = (
+        float(np.hypot(*ends.T).mean())
+        for ends in (found.ends.simulated, found.ends.extended)
+    )
+    assert gain.before == pytest.approx(simulated)
+    assert gain.after == pytest.approx(extended, rel=0.5)
