@@ -31,6 +31,7 @@ from hilserver.diagnosis.plan.outlook import grouped, look
 from hilserver.diagnosis.plan.pieces import MARGIN_M, of_moves, pieces
 from hilserver.diagnosis.plan.planning import PLAN, SCENARIO
 from hilserver.diagnosis.plan.search import choose
+from hilserver.diagnosis.replay.judgeable import NO_STAGE
 from hilserver.faults.scenario import as_yaml
 from hilserver.measured.channels import POSITION, SETPOINTS
 from hilserver.measured.reading import read_measured
@@ -138,6 +139,12 @@ def test_twice_the_drive_shows_less_than_twice_as_small():
     assert 0.35 < four / once < 0.75
 
 
+def test_why_a_cause_is_not_judged_is_a_whole_sentence_without_its_details():
+    for reason in NO_STAGE.values():
+        short = reason.partition(":")[0]
+        assert short.count("(") == short.count(")")
+
+
 def test_exact_twins_stay_a_group_whatever_is_driven(planned):
     groups = [set(group.causes) for group in document(planned).proposed.groups]
     assert {"icr_offset", "nav_lever_arm"} in groups
@@ -206,6 +213,7 @@ def test_pieces_stay_in_the_room_and_come_back():
     for room in ((5.0, 5.0), (3.0, 2.0)):
         found = pieces(ROBOT, room)
         assert len(found) > 10
+        assert not [piece.name for piece in found if piece.name.startswith("1 turns")]
         for x, y, _ in path_of([piece.manoeuvre for piece in found], ROBOT):
             assert np.abs(x).max() <= 0.5 * room[0] - MARGIN_M
             assert np.abs(y).max() <= 0.5 * room[1] - MARGIN_M

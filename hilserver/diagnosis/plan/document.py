@@ -78,6 +78,10 @@ class PlanDocument(_PlanModel):
     channels: tuple[str, ...]
     rate_hz: float
     navigation_hz: float
+    satellites_m: float | None = Field(
+        default=None,
+        description="standard deviation of a position by satellites; null: by a usual navigation",
+    )
     room_m: tuple[float, float]
     as_planned: Prospect
     proposed: Proposed

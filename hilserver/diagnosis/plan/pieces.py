@@ -108,7 +108,7 @@ def _spins(robot: RobotParameters) -> Iterator[tuple[str, list[Move]]]:
         rad_s = 2.0 * robot.wheel_radius_m * rpm * RAD_S_PER_RPM * robot.k_om
         moves = [(turn * 2.0 * math.pi / rad_s, -rpm, rpm)]
         yield (
-            f"{turn:g} turns on the spot both ways, {rpm:.0f} rpm",
+            f"{turn:g} {'turn' if turn == 1.0 else 'turns'} on the spot both ways, {rpm:.0f} rpm",
             there_and_back(moves),
         )
     slow, fast = 0.15 * top, 0.6 * top

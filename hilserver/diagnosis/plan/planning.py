@@ -121,6 +121,7 @@ def plan(
         channels=recording.channels,
         rate_hz=recording.rate_hz,
         navigation_hz=recording.navigation_hz,
+        satellites_m=recording.satellites_m,
         room_m=wish.room_m,
         as_planned=prospect(now, given.duration_s),
         proposed=Proposed(
@@ -170,9 +171,7 @@ def _better(
         )
     known = information_of(able, recording, studio)
     if not any(stage.directions for stage in known):
-        raise FailedError(
-            "these channels show no effect: record the wheel speeds, too"
-        )
+        raise FailedError("these channels show no effect: record the wheel speeds, too")
     return choose(able, known, left_s, studio.report)
 
 

@@ -18,6 +18,9 @@ def lines(document: PlanDocument) -> list[str]:
         for name, signals in GROUPS.items()
         if set(signals) & set(document.channels)
     ]
+    if document.satellites_m is not None and "position" in short:
+        by = f"position by satellites ({document.satellites_m:g} m, no heading)"
+        short[short.index("position")] = by
     out = [
         f"Recorded: set-points, {', '.join(short)}; {document.rate_hz:g} rows per second"
     ]

@@ -22,8 +22,8 @@ from hilserver.measured.data import MeasuredLog
 
 NO_STAGE: Final[Mapping[StageName, str]] = {
     "drive": "no set-points with wheel speeds, or no plant.process in the mapping",
-    "pose": "no pose and no turn rate in the log, or no wheel speed on both sides (mecanum"
-    " robot: on every wheel)",
+    "pose": "no pose and no turn rate in the log, or no wheel speed on both sides (of a mecanum"
+    " robot on every wheel)",
 }
 """Why causes are not judged if the log does not allow their stage."""
 

@@ -8,6 +8,7 @@ from hilserver.diagnosis.plan.document import (
     Prospect,
     Visible,
 )
+from hilserver.diagnosis.plan.text import lines
 from hilserver.diagnosis.report.plan_page import render_plan
 from hilserver.diagnosis.schema.findings import NotJudged
 from tests.diagnosis.report.test_page import Reader
@@ -17,7 +18,7 @@ def visible(cause, size, *, shows):
     return Visible(cause=cause, size=size, unit="m", reference=0.02, shows=shows)
 
 
-def document(*, better=True):
+def document(*, better=True, satellites_m=None):
     planned = Prospect(
         duration_s=20.0,
         score=1.0,
@@ -48,6 +49,7 @@ def document(*, better=True):
         channels=("nav.x_m",),
         rate_hz=50.0,
         navigation_hz=20.0,
+        satellites_m=satellites_m,
         room_m=(5.0, 5.0),
         as_planned=planned,
         proposed=proposed,
@@ -56,6 +58,12 @@ def document(*, better=True):
         ),
         notices=("drive.yaml leaves 5 m x 5 m",),
     )
+
+
+def test_the_terminal_says_where_the_position_comes_from():
+    assert lines(document())[0] == "Recorded: set-points, position; 50 rows per second"
+    by = "position by satellites (0.5 m, no heading)"
+    assert by in lines(document(satellites_m=0.5))[0]
 
 
 def test_the_page_says_what_the_plan_says():
