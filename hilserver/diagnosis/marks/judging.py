@@ -147,8 +147,8 @@ def searched(
         search = replace(search, candidates=shown)
         trial = search.select()
     model = trial.model
-    said = (*fit_of(search, model), *lost_runs(runs))
     far = far_off(search, model)
+    said = (*fit_of(search, Model() if far else model), *lost_runs(runs))
     if far:
         reasons |= dict.fromkeys((c.cause for c in candidates), UNEXPLAINED)
         ends = MarkedEnds(drawn(runs, Model()), None)
